@@ -4,7 +4,8 @@
 
 Starts a service with one API process. One case after another is sent to it, while another process
 asks `/health/live` every 5 ms. Beside each case stand the longest of these waits, and the growth of
-the API process's memory, of the body's bytes too.
+the API process's memory, of the body's bytes too. Then one key does its worst, in one way after
+another, while another project lifts: how long that took at most, and what was refused to it.
 """
 
 import argparse
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import httpx2
 
+from benchmarks import stalls_shares
 from benchmarks.captures import fitted, studio
 from benchmarks.figures import Bar, Results, Row, command
 from benchmarks.scaling_process import SHORT
@@ -32,25 +34,40 @@ def main() -> None:
     arguments = parse_arguments()
     with service("--api-processes=1") as running, Watch(running.address) as watch:
         (api,) = api_processes()
-        model = running.import_model(fitted(studio(), SHORT))
+        prior = fitted(studio(), SHORT)
+        model = running.import_model(prior)
         rows = [quiet(watch)]
         for case in cases(running, model):
             if any(text in case.name for text in arguments.only):
                 rows.append(measure(running, api, watch, case))
                 print(rows[-1], flush=True)
         rows.append(quiet(watch))
+        shared = list(stalls_shares.rows(running, prior, arguments.only))
     noise = max(row["longest wait ms"] for row in (rows[0], rows[-1]))
     sent = rows[1:-1]
     bars = [
         Bar(
             "longest wait beside a body, above that beside none",
             LONGEST_MS,
-            max(row["longest wait ms"] for row in sent) - noise,
+            max((row["longest wait ms"] for row in sent), default=0.0) - noise,
             "ms",
         ),
-        Bar("memory, of the body", MOST_TIMES, max(row["memory / body"] for row in sent), "x"),
+        Bar(
+            "memory, of the body",
+            MOST_TIMES,
+            max((row["memory / body"] for row in sent), default=0.0),
+            "x",
+        ),
     ]
-    Results("stalls", vars(arguments), {"Beside a body": rows}, bars).publish(arguments.json)
+    bars = bars if sent else []
+    if shared:
+        longest = max(row["another's longest lift ms"] for row in shared)
+        bars += [
+            Bar("another project's lift beside one key at its worst", LONGEST_MS, longest, "ms"),
+            Bar("refused to it", 0, sum(row["refused"] for row in shared), ""),
+        ]
+    tables = {"Beside a body": rows, "Another project beside one key at its worst": shared}
+    Results("stalls", vars(arguments), tables, bars).publish(arguments.json)
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -8,7 +8,6 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib.metadata import version
@@ -39,6 +38,7 @@ from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
 from service.http.rates import Rates
 from service.http.request_ids import Watched
+from service.http.turns import Places, Threads, Turns
 from service.http.websockets import WebSocketConnection
 from service.page.serving import serve_page
 from service.realtime import lift, stream, watch
@@ -203,7 +203,7 @@ def create_app(settings: Settings) -> FastAPI:
 async def _close(app: FastAPI) -> None:
     await asyncio.to_thread(app.state.engine.close)
     app.state.metrics.flush()
-    app.state.lift_bodies.shutdown(wait=False, cancel_futures=True)
+    app.state.lift_bodies.close()
     app.state.keyring.close()
     await app.state.rates.close()
     await app.state.open_streams.close()
@@ -225,16 +225,16 @@ def _make_engine(app: FastAPI, settings: Settings) -> Engine:
 def _set_bounds(app: FastAPI, settings: Settings) -> None:
     """Set the limits of concurrent work."""
     large = settings.large_at_a_time
-    app.state.large_uploads = asyncio.Semaphore(large)
-    app.state.readers = asyncio.Semaphore(large + SPARE_READERS)
-    app.state.calculations = asyncio.Semaphore(large)
-    app.state.large_lifts = asyncio.Semaphore(large)
-    # As many again are for small ones, which wait for nothing.
-    app.state.lift_bodies = ThreadPoolExecutor(2 * large, thread_name_prefix="lift-body")
+    app.state.large_uploads = Turns(large)
+    app.state.readers = Turns(large + SPARE_READERS, reserving=True)
+    app.state.calculations = Turns(large)
+    app.state.large_lifts = Turns(large)
+    # As many again are for small ones, which do not wait for large ones.
+    app.state.lift_bodies = Threads(2 * large, "lift-body")
     app.state.rates = Rates(str(settings.redis_url))
     app.state.open_streams = OpenStreams(str(settings.redis_url))
-    app.state.streams = asyncio.Semaphore(settings.max_streams)
-    app.state.event_places = asyncio.Semaphore(settings.max_event_streams)
+    app.state.streams = Places(settings.max_streams)
+    app.state.event_places = Places(settings.max_event_streams)
 
 
 def _wrap(app: FastAPI) -> None:

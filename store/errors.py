@@ -12,6 +12,7 @@ StoreError
 ├── DeploymentError        records and objects that do not belong together
 ├── QueueFullError         as many fits, or lifts, wait as may
 ├── QuotaError             a key has taken all that it may
+├── ShareError             a key, or its project, has its share of what all have together
 ├── KeyReusedError         an idempotency key came back with another request
 └── LeaseLostError         a stale attempt tried to write; its work belongs to another by now
 """
@@ -111,6 +112,10 @@ class QueueFullError(StoreError):
 
 class QuotaError(StoreError):
     """A key has taken all that it may."""
+
+
+class ShareError(StoreError):
+    """A key, or its project, has its share of what all have together."""
 
 
 class KeyReusedError(StoreError):

@@ -11,15 +11,16 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from store import audit, clock, webhooks
-from store.authors import ALL_PROJECTS
+from store.authors import ALL_PROJECTS, Author, author_of
 from store.database import Store
 from store.disposal import condemn, discard
-from store.errors import ConflictError, QueueFullError
+from store.errors import ConflictError, QueueFullError, ShareError
 from store.idempotency import Idempotency, claim
 from store.ids import new_id
 from store.locks import alone
 from store.lookup import get, lock
-from store.records import FitRecord, LiftRecord
+from store.records import AccessKey, FitRecord, LiftRecord
+from store.shares import NO_KEY, Shares, Who, who_owns
 from store.usage import check_queue
 
 TERMINAL = ("succeeded", "failed", "cancelled")
@@ -44,6 +45,8 @@ def create(
     ------
     QueueFullError
         If ``max_queued`` of its kind wait already.
+    ShareError
+        If the author's key or project has its share of them, and others may come.
     """
     identifier = new_id(kind.noun)
     with store.writing() as session:
@@ -53,15 +56,59 @@ def create(
         if earlier is None and job_id is not None:
             earlier = session.scalar(select(kind.id).where(kind.job_id == job_id))
         if earlier is None:
-            waiting = select(func.count(kind.id)).where(kind.status == "queued")
-            count = session.scalar(waiting, execution_options=ALL_PROJECTS) or 0
-            if max_queued is not None and count >= max_queued:
-                raise QueueFullError(kind.noun, max_queued)
+            if max_queued is not None:
+                _check_waiting(session, kind, max_queued)
             check_queue(session)
             made = make(session, identifier)
             session.add(made)
             audit.note(session, f"{kind.noun}.create", identifier)
     return made if earlier is None else get(store, kind, earlier)
+
+
+def _check_waiting(session: Session, kind: type[Job], most: int) -> None:
+    """Raise unless one more job may wait: of all, and of the author's key and project."""
+    grouped = (
+        select(kind.project, kind.key_id, func.count(kind.id))
+        .where(kind.status == "queued")
+        .group_by(kind.project, kind.key_id)
+    )
+    shares = Shares(most)
+    for project, key_id, count in session.execute(grouped, execution_options=ALL_PROJECTS):
+        shares.take(Who(project, key_id or NO_KEY), count)
+    if shares.free <= 0:
+        raise QueueFullError(kind.noun, most)
+    author = author_of(session) or Author()
+    if not shares.may_take(Who(author.project, author.key_id)) and _others_may_come(session):
+        raise ShareError(
+            f"This key, or its project, has its share of the {most} {kind.noun}s that may wait: "
+            "try again when some of its own have run."
+        )
+
+
+def _others_may_come(session: Session) -> bool:
+    """Return whether any key is in force: if not, the user of the service is alone."""
+    in_force = select(AccessKey.id).where(AccessKey.revoked_at.is_(None)).limit(1)
+    return session.scalar(in_force) is not None
+
+
+def waiting(store: Store) -> dict[str, Who]:
+    """Return whose the jobs are that wait, or may be waiting, by their names on the queue."""
+    queued = select(FitRecord.job_id, FitRecord.project, FitRecord.key_id)
+    active = select(LiftRecord).where(LiftRecord.status.in_(("queued", "running")))
+    with store.reading() as session:
+        fits = session.execute(queued.where(FitRecord.status == "queued")).all()
+        found = {name: Who(project, key_id or NO_KEY) for name, project, key_id in fits}
+        for lift in session.scalars(active):
+            found[waiting_job(lift)] = who_owns(lift)
+    return found
+
+
+def waiting_job(lift: LiftRecord) -> str:
+    """Return the identifier of the queue job that calls the next helper.
+
+    The first is the job that asked for the lift; each that starts makes the next.
+    """
+    return lift.job_id if lift.helpers == 0 else f"{lift.id}-{lift.helpers}"
 
 
 def refuse(

@@ -142,14 +142,6 @@ def _asked_by(job_id: str) -> ColumnElement[bool]:
     return (LiftRecord.job_id == job_id) | (LiftRecord.id == helped_by(job_id))
 
 
-def waiting_job(lift: LiftRecord) -> str:
-    """Return the identifier of the queue job that calls the next helper.
-
-    The first is the job that asked for the lift; each that starts makes the next.
-    """
-    return lift.job_id if lift.helpers == 0 else f"{lift.id}-{lift.helpers}"
-
-
 def helped_by(job_id: str) -> str:
     """Return the identifier of the lift that a job called by another helps, if it is such a job."""
     return job_id.rpartition("-")[0]
@@ -159,7 +151,7 @@ def call_next(store: Store, lift_id: str, job_id: str) -> LiftRecord | None:
     """Note that ``job_id`` has started; return the lift if another job may help beside it."""
     with store.writing() as session:
         lift = session.get(LiftRecord, lift_id, with_for_update=True)
-        if lift is None or lift.status in jobs.TERMINAL or waiting_job(lift) != job_id:
+        if lift is None or lift.status in jobs.TERMINAL or jobs.waiting_job(lift) != job_id:
             return None
         lift.helpers += 1
         unclaimed = session.scalar(

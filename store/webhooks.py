@@ -10,9 +10,11 @@ import json
 import random
 import secrets
 from base64 import b64encode
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple, get_args
+from urllib.parse import urlsplit
 
 from sqlalchemy import delete as sql_delete
 from sqlalchemy import func, select
@@ -26,6 +28,7 @@ from store.errors import InputError, NotFoundError
 from store.ids import new_id
 from store.locks import alone
 from store.records import AccessKey, Delivery, FitRecord, LiftRecord, WebhookRecord
+from store.shares import Shares, Who
 
 WebhookEvent = TypeAliasType(
     "WebhookEvent",
@@ -41,6 +44,7 @@ WebhookEvent = TypeAliasType(
 EVENTS: tuple[WebhookEvent, ...] = get_args(WebhookEvent.__value__)
 MAX_WEBHOOKS = 20  # of a project
 MAX_WAITING = 1000  # deliveries to one webhook; what ends beyond them is not delivered
+OF_HOST = 4  # attempts of a project at one host at a time
 LEASE_SECONDS = 60.0  # far longer than an attempt takes
 # Before each further attempt, as Standard Webhooks advises; three days in all.
 RETRY_SECONDS = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
@@ -57,6 +61,7 @@ class Due(NamedTuple):
     """
 
     id: str
+    project: str
     url: str
     secret: str
     payload: str
@@ -168,24 +173,29 @@ def any_due(store: Store) -> bool:
         return session.scalar(select(Delivery.id).where(_due()).limit(1)) is not None
 
 
-def take_due(store: Store, limit: int) -> list[Due]:
-    """Take up to ``limit`` deliveries that are due.
+def take_due(store: Store, in_hand: Collection[Due], at_a_time: int) -> list[Due]:
+    """Take deliveries that are due, as many as may be in hand with those that are.
 
-    Those of a webhook whose key is no longer in force end: nothing of them is sent.
+    No project gets more than its share of those (`store.shares`), no host of a project more than
+    `OF_HOST`, and who has fewest in hand comes first: who does not answer keeps nobody else
+    waiting. Those of a webhook whose key is no longer in force end: nothing of them is sent.
     """
     query = (
         select(Delivery, WebhookRecord, AccessKey)
         .join(WebhookRecord)
         .outerjoin(AccessKey, AccessKey.id == WebhookRecord.key_id)
     )
+    with store.reading() as session:
+        chosen = _choose(_candidates(session), in_hand, at_a_time)
+    if not chosen:
+        return []
     taken = []
     with store.writing() as session:
         now = clock.read(session)
         rows = session.execute(
-            query.where(_due())
-            .order_by(Delivery.next_at)
-            .limit(limit)
-            .with_for_update(of=Delivery, skip_locked=True)
+            query.where(_due(), Delivery.id.in_(chosen)).with_for_update(
+                of=Delivery, skip_locked=True
+            )
         ).all()
         for delivery, webhook, key in rows:
             if key is not None and not _in_force(key, now):
@@ -194,9 +204,58 @@ def take_due(store: Store, limit: int) -> list[Due]:
             delivery.attempts += 1
             delivery.next_at = now + LEASE_SECONDS
             taken.append(
-                Due(delivery.id, webhook.url, webhook.secret, delivery.payload, delivery.attempts)
+                Due(
+                    delivery.id,
+                    webhook.project,
+                    webhook.url,
+                    webhook.secret,
+                    delivery.payload,
+                    delivery.attempts,
+                )
             )
     return taken
+
+
+def _candidates(session: Session) -> list[tuple[str, Who]]:
+    """Return deliveries that are due, the first few of each webhook, those due longest first."""
+    place = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at)
+    due = select(Delivery.id, Delivery.webhook_id, Delivery.next_at, place.label("place")).where(
+        _due()
+    )
+    first = due.subquery()
+    query = (
+        select(first.c.id, WebhookRecord.project, WebhookRecord.url)
+        .join(WebhookRecord, WebhookRecord.id == first.c.webhook_id)
+        .where(first.c.place <= OF_HOST)
+        .order_by(first.c.next_at)
+    )
+    return [(name, _receiver(project, url)) for name, project, url in session.execute(query)]
+
+
+def _choose(due: list[tuple[str, Who]], in_hand: Collection[Due], at_a_time: int) -> list[str]:
+    """Choose what is taken now."""
+    shares, hosts = Shares(at_a_time), Counter[Who]()
+    projects: Counter[str] = Counter()
+
+    def count(receiver: Who) -> None:
+        shares.take(receiver)
+        hosts[receiver] += 1
+        projects[receiver.project] += 1
+
+    for one in in_hand:
+        count(_receiver(one.project, one.url))
+    left, chosen = list(due), []
+    while left := [(name, to) for name, to in left if hosts[to] < OF_HOST and shares.may_take(to)]:
+        first = min(left, key=lambda one: (projects[one[1].project], hosts[one[1]]))
+        left.remove(first)
+        count(first[1])
+        chosen.append(first[0])
+    return chosen
+
+
+def _receiver(project: str, url: str) -> Who:
+    """Return whose share a delivery takes from: the host stands where a key does elsewhere."""
+    return Who(project, urlsplit(url).netloc)
 
 
 def finish(store: Store, due: Due, outcome: str, *, delivered: bool) -> None:

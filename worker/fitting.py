@@ -35,6 +35,7 @@ from worker.needs import gpu_pays
 from worker.outcomes import Outcomes, recorded
 from worker.patience import OUTAGES, is_outage, patiently
 from worker.settings import WorkerSettings
+from worker.time_slice import FitTurn
 
 logger = logging.getLogger(__name__)
 
@@ -43,12 +44,17 @@ CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however l
 
 
 def run_attempt(
-    store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerSettings
+    store: Store,
+    attempt: Attempt,
+    heartbeat: Heartbeat,
+    settings: WorkerSettings,
+    turn: FitTurn | None = None,
 ) -> None:
-    """Run a claimed fit until it succeeds, fails, is cancelled, or this process must leave.
+    """Run a claimed fit until it succeeds, fails, is cancelled, or has to give its worker up.
 
-    The outcome is in the fit's record; see :func:`worker.outcomes.recorded` for errors. A fault of
-    ours, and RQ's own timeout, fail the fit and are raised again.
+    Without a ``turn`` it gives way to no other fit. The outcome is in the fit's record; see
+    :func:`worker.outcomes.recorded` for errors. A fault of ours, and RQ's own timeout, fail the fit
+    and are raised again.
     """
     use_threads(settings.fit_threads)
     use_cores(settings.cores or usable_cores())  # which changes no digit, and is over soon
@@ -60,10 +66,16 @@ def run_attempt(
         unusable="unusable_capture",
     )
     with recorded(attempt.fit_id, outcomes):
-        _run(store, attempt, heartbeat, settings)
+        _run(store, attempt, heartbeat, settings, turn)
 
 
-def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerSettings) -> None:
+def _run(
+    store: Store,
+    attempt: Attempt,
+    heartbeat: Heartbeat,
+    settings: WorkerSettings,
+    turn: FitTurn | None = None,
+) -> None:
     started = time.monotonic()
     waiting = partial(patiently, hurry=lambda: heartbeat.leave or heartbeat.lost)
     fit, dataset, capture, checkpoint = waiting(partial(_load, store, attempt))
@@ -82,7 +94,7 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
         elif heartbeat.leave:
             attempts.save_checkpoint(store, attempt, trainer.checkpoint())
             attempts.release(store, attempt)
-        elif time.monotonic() - started > settings.max_fit_seconds:
+        elif max(trainer.seconds, time.monotonic() - started) > settings.max_fit_seconds:
             limit = settings.max_fit_seconds
             _fail(store, attempt, "timed_out", f"The fit took longer than {limit} s.")
         else:
@@ -94,6 +106,13 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
         heartbeat.progress = _finite(asdict(progress))
         if stopped():
             return
+        # What goes on between steps would start over, and what comes after them ends by itself.
+        between = progress.stage == "training" and progress.stopped_by is None
+        if turn is not None and between and turn.is_over():
+            if _save_checkpoint(store, attempt, trainer.checkpoint()):
+                attempts.release(store, attempt)
+                return
+            turn.begin_again()
         now = time.monotonic()
         if now >= next_checkpoint:
             _save_checkpoint(store, attempt, trainer.checkpoint())
@@ -110,20 +129,27 @@ def _run(store: Store, attempt: Attempt, heartbeat: Heartbeat, settings: WorkerS
             weights=prior.to_bytes(),
             reconstruction=save(lift.arrays),
             progress=heartbeat.progress,
-            describe={
-                "dataset_id": fit.dataset_id,
-                "views": capture.keypoints.shape[1],
-                "keypoints": capture.keypoints.shape[2],
-                "frames": capture.frames,
-                "config": fit.config,
-                "skeleton": dataset.skeleton,
-                "training_curve": [_finite(point._asdict()) for point in prior.curve],
-                "metrics": _finite(evaluate(prior, lift, capture)),
-                "findings": dumped(prior.findings),
-            },
+            describe=_describe(fit, dataset, capture, prior)
+            | {"metrics": _finite(evaluate(prior, lift, capture))},
         )
         waiting(succeed)
         log_findings(logger, f"Fit {fit.id}", prior.findings)
+
+
+def _describe(
+    fit: FitRecord, dataset: DatasetRecord, capture: Capture, prior: FittedPrior
+) -> dict[str, Any]:
+    """Return columns of the record of a fit's model."""
+    return {
+        "dataset_id": fit.dataset_id,
+        "views": capture.keypoints.shape[1],
+        "keypoints": capture.keypoints.shape[2],
+        "frames": capture.frames,
+        "config": fit.config,
+        "skeleton": dataset.skeleton,
+        "training_curve": [_finite(point._asdict()) for point in prior.curve],
+        "findings": dumped(prior.findings),
+    }
 
 
 def _reconstruct(
@@ -166,14 +192,19 @@ def _load(store: Store, attempt: Attempt) -> tuple[FitRecord, DatasetRecord, Cap
     return fit, dataset, capture, attempts.load_checkpoint(store, fit.id)
 
 
-def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> None:
-    """Save a checkpoint, unless records or objects are away: the next will do as well."""
+def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> bool:
+    """Save a checkpoint, unless records or objects are away: the next will do as well.
+
+    Return whether it was saved.
+    """
     try:
         attempts.save_checkpoint(store, attempt, checkpoint)
     except OUTAGES as error:
         if not is_outage(error):
             raise
         logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
+        return False
+    return True
 
 
 def _load_prior(store: Store, fit: FitRecord) -> FittedPrior | None:

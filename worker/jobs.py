@@ -20,7 +20,7 @@ from worker.heartbeat import Heartbeat
 from worker.patience import patiently
 from worker.reconciler import adopt, recorded_as
 from worker.settings import WorkerSettings
-from worker.time_slice import TimeSlice
+from worker.time_slice import FitTurn, TimeSlice
 
 logger = logging.getLogger(__name__)
 
@@ -75,7 +75,9 @@ def fit(
             with Heartbeat(partial(attempts.beat, store, attempt)) as heartbeat:
                 from worker.fitting import run_attempt  # noqa: PLC0415 (torch takes seconds)
 
-                run_attempt(store, attempt, heartbeat, settings)
+                record = _waiting(partial(lookup.get, store, FitRecord, fit_id))
+                turn = FitTurn(job.connection, store, settings, record)
+                run_attempt(store, attempt, heartbeat, settings, turn)
         record = _waiting(partial(lookup.get, store, FitRecord, fit_id))
         _report(record)
     return {"fit_id": record.id, "status": record.status, "model_id": record.model_id}

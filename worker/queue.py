@@ -18,7 +18,7 @@ from rq.registry import CanceledJobRegistry
 from sqlalchemy.exc import SQLAlchemyError
 
 from store.database import Store
-from store.lifts import waiting_job
+from store.jobs import waiting_job
 from store.records import FitRecord, LiftRecord
 from store.settings import shown
 from worker import logs
@@ -171,7 +171,13 @@ def forget_cancelled(queue: Queue) -> None:
             queue.connection.delete(Job.key_for(job_id))  # which need not be read for that
 
 
-def enqueue(queue: Queue, record: FitRecord | LiftRecord, asked_by: str | None = None) -> None:
+def enqueue(
+    queue: Queue,
+    record: FitRecord | LiftRecord,
+    asked_by: str | None = None,
+    *,
+    at_front: bool = False,
+) -> None:
     """Put a recorded fit on the queue, as any producer would, or a call for help with a lift.
 
     Twice is harmless: only one job can claim the fit, or a chunk of the lift.
@@ -180,6 +186,8 @@ def enqueue(queue: Queue, record: FitRecord | LiftRecord, asked_by: str | None =
     ----------
     asked_by
         The identifier of the request that asked for it, for the worker's log.
+    at_front
+        Whether it comes before others of its key.
     """
     if isinstance(record, FitRecord):
         function, job_id = FIT_JOB, record.job_id
@@ -193,6 +201,7 @@ def enqueue(queue: Queue, record: FitRecord | LiftRecord, asked_by: str | None =
         function,
         kwargs=arguments,
         job_id=job_id,
+        at_front=at_front,
         result_ttl=RESULT_SECONDS,
         failure_ttl=FAILURE_SECONDS,
         meta={f"{record.noun}_id": record.id}

@@ -84,7 +84,7 @@ class Reconciler:
             self.unsettle()
         work: dict[str, FitRecord | LiftRecord] = {fit.job_id: fit for fit in queued}
         work |= {
-            lifts.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
+            jobs.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
         }
         lost = work.keys() - waiting.keys()
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}

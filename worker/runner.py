@@ -14,7 +14,7 @@ from redis import Redis
 from redis.client import Pipeline
 from rq import Queue, Worker
 from rq.exceptions import StopRequested
-from rq.job import Job
+from rq.job import Job, JobStatus
 from rq.registry import StartedJobRegistry
 from rq.utils import now
 from rq.worker import DequeueStrategy
@@ -27,12 +27,14 @@ from store.records import FitRecord, LiftRecord
 from worker import at_work, logs
 from worker.beside import FORK, Beside
 from worker.contract import RESULT_SECONDS, KnownJob, PlainDataSerializer, is_of_wrong_type
+from worker.fair_order import bring_forward, note_turn
 from worker.housekeeping import keep_house
 from worker.process import tie_forks
 from worker.queue import (
     WorkQueue,
     check_reachable,
     connect,
+    enqueue,
     open_queues,
 )
 from worker.reconciler import Reconciler
@@ -111,6 +113,8 @@ class JobWorker(Worker):
         try:
             with logs.of_job(None):  # it looks after those of all jobs
                 self._reconciler.step()
+                if job is None:  # this worker is about to take one
+                    bring_forward(self._store, self.queues)
             if job is not None and any(
                 cancelled(self._store, job.id, patience_seconds=CANCEL_PATIENCE_SECONDS)
                 for cancelled in (fits.enforce_cancel, lifts.was_cancelled)
@@ -151,11 +155,14 @@ class JobWorker(Worker):
         assert isinstance(queue, WorkQueue)  # noqa: S101 (this worker has no others)
         if not self._reconciler.adopt(queue, job.id):
             return
+        with suppress(SQLAlchemyError):  # then it has its turn without a note
+            note_turn(self._store, self.connection, job.id)
         job.origin = queue.name  # whatever its producer wrote
         job.timeout = self._settings.max_fit_seconds + TIMEOUT_SLACK_SECONDS
         try:
             with logs.of_job(job.id, job.meta.get("request_id")):
                 super().execute_job(job, queue)
+                self._put_back(job, queue)
         except StopRequested:
             raise
         except Exception as error:
@@ -170,6 +177,17 @@ class JobWorker(Worker):
             _import_for_later_jobs()
         if self.stopping:  # an import may take for its own what SIGTERM raises in it
             raise StopRequested
+
+    def _put_back(self, job: Job, queue: Queue) -> None:
+        """Put a fit back on its queue that has ended its turn; it comes first of its key's."""
+        if self.stopping or job.get_status(refresh=True) != JobStatus.FINISHED:
+            return
+        fit = None
+        with suppress(SQLAlchemyError):  # then the reconciler does it
+            fit = jobs.by_job(self._store, FitRecord, job.id)
+        if fit is not None and fit.status == "queued":
+            asked_by = job.meta.get("request_id")
+            enqueue(queue, fit, asked_by if isinstance(asked_by, str) else None, at_front=True)
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log why a job ended: one line if the record has the reason, else with the traceback."""

@@ -99,6 +99,13 @@ class WorkerSettings(StoreSettings):
         le=3600,
         description="Time a big lift may have a worker for itself while other jobs wait.",
     )
+    fit_turn_seconds: float = Field(
+        300.0,
+        ge=1,
+        le=24 * 3600,
+        description="Time a fit may have a worker for itself while jobs of other projects or keys "
+        "wait. It is saved then, and goes on when it is its turn again.",
+    )
 
     webhook_private_targets: bool = Field(
         False,

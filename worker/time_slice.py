@@ -1,15 +1,21 @@
-"""Sharing workers: how long a long lift may keep one, and how others help."""
+"""Sharing workers: how long a lift or a fit may keep one, and how others help with a lift."""
 
 import time
 from contextlib import suppress
 
 from redis import Redis
 from redis.exceptions import RedisError
+from sqlalchemy.exc import SQLAlchemyError
 
 from store import lifts
 from store.database import Store
+from store.records import FitRecord
+from store.shares import who_owns
+from worker.fair_order import others_wait
 from worker.queue import offer, open_queues
 from worker.settings import WorkerSettings
+
+LOOK_SECONDS = 1.0  # between two looks at who waits: an idle worker takes it within that time
 
 
 class TimeSlice:
@@ -44,3 +50,36 @@ class TimeSlice:
                 for job_id in queue.get_job_ids()
             )
         return False
+
+
+class FitTurn:
+    """One attempt's turn at a worker, which it gives up to other projects and keys that wait."""
+
+    def __init__(
+        self, connection: Redis, store: Store, settings: WorkerSettings, fit: FitRecord
+    ) -> None:
+        self._queues = open_queues(connection, settings.queues)
+        self._store, self._job_id, self._owner = store, fit.job_id, who_owns(fit)
+        self._seconds = settings.fit_turn_seconds
+        self._ends = time.monotonic() + self._seconds
+        self._seen: set[str] = set()
+
+    def is_over(self) -> bool:
+        """Return whether the worker should go on with work of others.
+
+        That was seen to wait twice, so no other worker was free for it. While queues or records are
+        away, the turn goes on.
+        """
+        if time.monotonic() < self._ends:
+            return False
+        seen: set[str] = set()
+        with suppress(RedisError, SQLAlchemyError):
+            seen = others_wait(self._store, self._queues, self._job_id, self._owner)
+        still = bool(seen & self._seen)
+        self._seen = seen
+        self._ends = time.monotonic() + LOOK_SECONDS
+        return still
+
+    def begin_again(self) -> None:
+        """Begin another turn, as this one could not be given up."""
+        self._ends = time.monotonic() + self._seconds

@@ -21,6 +21,7 @@ from worker.settings import WorkerSettings
 logger = logging.getLogger(__name__)
 
 AT_A_TIME = 20  # attempts, beside each other
+LOOK_SECONDS = 0.5  # at what became due while attempts go on
 ATTEMPT_SECONDS = 15.0  # in all, from the name's address to the status of the answer
 
 
@@ -36,23 +37,31 @@ class _PrivateError(Exception):
 def deliver(settings: WorkerSettings) -> None:
     """Attempt all deliveries that are due, in a process that is forked for that."""
     store = Store(settings)
-    while due := webhooks.take_due(store, AT_A_TIME):
-        outcomes = asyncio.run(_attempt_all(due, private=settings.webhook_private_targets))
-        for each, outcome in zip(due, outcomes, strict=True):
-            webhooks.finish(store, each, outcome.words, delivered=outcome.delivered)
-            logger.info("%s, attempt %d: %s", each.id, each.attempt, outcome.words)
+    asyncio.run(_attempt_all(store, private=settings.webhook_private_targets))
     store.close()
 
 
-async def _attempt_all(due: list[Due], *, private: bool) -> list[_Outcome]:
-    """Attempt deliveries beside each other; ``private`` allows any address."""
+async def _attempt_all(store: Store, *, private: bool) -> None:
+    """Attempt deliveries beside each other, until none is due; ``private`` allows any address."""
+    running: dict[asyncio.Task[_Outcome], Due] = {}
     async with httpcore2.AsyncConnectionPool(
         ssl_context=ssl.create_default_context(),
         max_connections=AT_A_TIME,
         max_keepalive_connections=0,
         network_backend=_Network(private=private),
     ) as connections:
-        return list(await asyncio.gather(*(_attempt(connections, each) for each in due)))
+        while True:
+            for due in webhooks.take_due(store, running.values(), AT_A_TIME):
+                running[asyncio.create_task(_attempt(connections, due))] = due
+            if not running:
+                return
+            ended, _ = await asyncio.wait(
+                running, timeout=LOOK_SECONDS, return_when=asyncio.FIRST_COMPLETED
+            )
+            for task in ended:
+                due, outcome = running.pop(task), task.result()
+                webhooks.finish(store, due, outcome.words, delivered=outcome.delivered)
+                logger.info("%s, attempt %d: %s", due.id, due.attempt, outcome.words)
 
 
 async def _attempt(connections: httpcore2.AsyncConnectionPool, due: Due) -> _Outcome:

@@ -9,7 +9,7 @@
     │   ├── Forbidden        403: the key does not allow this
     │   ├── NotFound         404: there is no such dataset, fit, model or lift
     │   ├── Conflict         409, 412: not in the state that it is in, or that it was read in
-    │   ├── TooManyRequests  429: too many jobs wait
+    │   ├── TooManyRequests  429: too many jobs wait, or a key has its share
     │   └── Unavailable      502, 503, 504: the service or a part of it is away for the moment
     ├── ConnectionFailed     the service cannot be reached, or does not answer as one
     ├── JobFailed            a fit or a lift failed or was cancelled: code, message

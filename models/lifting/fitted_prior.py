@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OUTLIERS_KIND, OutlierModel
 from models.findings.finding import Finding
 from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
-from models.lifting.explanations import Refiner
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner
 from models.lifting.lift import LiftedFrames
@@ -73,7 +73,17 @@ class FittedPrior:
         self.foreshortening = foreshortening
         self._arrays = arrays
         self._network = lay_out(config, arrays)
-        self._refiners: dict[int | tuple[int, ...], Refiner] = {}
+        # Of those for rare choices of views the one used longest ago goes.
+        self._refiner_of = None
+        if self_calibration is not None:
+            make = partial(
+                make_refiner,
+                self_calibration,
+                skeleton=skeleton,
+                structures=structures,
+                rejecting=config.outlier_rejection,
+            )
+            self._refiner_of = lru_cache(MOST_REFINERS)(make)
         self.capture = whole_capture(self._network.keypoints) if capture is None else capture
         rig = 0 if self_calibration is None else len(self_calibration.rig.groups)
         self._observer = Observer(self.capture, outliers, self._noise_removal, rig)
@@ -249,33 +259,13 @@ class FittedPrior:
             self.foreshortening,
             self.settling,
             self.capture.usual,
-            None if mode == "off" else self._refiner_of(observed.views, count),
+            self._refiner_of(observed.views, count)
+            if self._refiner_of is not None and mode != "off"
+            else None,
             mode == "full",
         )
         answers = lift_frames(lifter, observed, before)
         return LiftedFrames(*answers).among(self.capture.known)
-
-    def _refiner_of(self, views: Sequence[int] | None, count: int) -> Refiner | None:
-        """Return the refiner for `views` of the fit, or for `count` cameras unknown to it.
-
-        It is made once and kept, for at most `MOST_REFINERS` choices of views.
-        """
-        if self._self_calibration is None:
-            return None
-        key = count if views is None else tuple(views)
-        refiner = self._refiners.get(key)
-        if refiner is None:
-            if len(self._refiners) >= MOST_REFINERS:
-                self._refiners.clear()
-            refiner = self._refiners[key] = make_refiner(
-                self._self_calibration,
-                views,
-                count,
-                self._skeleton,
-                self._structures,
-                rejecting=self.config.outlier_rejection,
-            )
-        return refiner
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""

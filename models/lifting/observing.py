@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -87,8 +88,11 @@ class Observer:
         views_of_rig: int,
     ) -> None:
         """`views_of_rig` is 0 if no cameras were estimated."""
-        self._capture, self._outliers, self._removal = capture, outliers, noise_removal
-        self._judges: dict[tuple[int, ...], OutlierJudge] = {}
+        self._capture, self._removal = capture, noise_removal
+        # Of those for rare choices of views the one used longest ago goes.
+        self._judge_of = (
+            None if outliers is None else lru_cache(MOST_JUDGES)(partial(OutlierJudge, outliers))
+        )
         learnt = 0 if outliers is None else len(outliers.mean)
         self.views = learnt or noise_removal.views or views_of_rig  # of the fit; 0: nothing known
 
@@ -123,7 +127,7 @@ class Observer:
         """Return the observations of the prior's keypoints, without outliers."""
         observations = self._of_capture(keypoints, confidence, views)
         chosen = self._views_of_fit(views, observations.weights.shape[1])
-        if self._outliers is None or chosen is None:
+        if self._judge_of is None or chosen is None:
             return _as_seen(observations, None, chosen, nothing_left_out(observations))
         judged = self._judge_of(chosen).without_outliers(observations)
         return _as_seen(judged.observations, judged.probabilities, chosen, judged.left_out)
@@ -151,16 +155,6 @@ class Observer:
                 f"this prior was fitted to {expected} keypoints per view,"
                 f" got {came}; give them in the order of the fit, NaN for what was not observed"
             )
-
-    def _judge_of(self, views: tuple[int, ...]) -> OutlierJudge:
-        """Return the outlier judge for `views` of the fit; it is made once and kept."""
-        assert self._outliers is not None  # noqa: S101
-        judge = self._judges.get(views)
-        if judge is None:
-            if len(self._judges) >= MOST_JUDGES:
-                self._judges.clear()
-            judge = self._judges[views] = OutlierJudge(self._outliers, views)
-        return judge
 
     def _views_of_fit(self, views: Sequence[int] | None, count: int) -> tuple[int, ...] | None:
         """Return which views of the fit the `count` views of a lift are; None if they are others.

@@ -27,6 +27,7 @@ from store.errors import (
     NotFoundError,
     QueueFullError,
     QuotaError,
+    ShareError,
     SourceError,
     in_words,
 )
@@ -58,6 +59,7 @@ PROBLEMS = {
     "invalid_input": (422, "The request is not valid"),
     "upgrade_required": (426, "This is spoken in another protocol"),
     "idempotency_key_reused": (422, "The idempotency key was used for another request"),
+    "share_exhausted": (429, "The key or its project has its share of what all have together"),
     "too_many_fits": (429, "Too many fits are waiting"),
     "too_many_lifts": (429, "Too many lifts are waiting"),
     "quota_exceeded": (429, "The key has taken all that it may"),
@@ -217,6 +219,7 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
     ``head_too_large``, ``internal_error``, ``object_damaged``, ``records_damaged``,
     ``storage_full``, ``unavailable``; those that read a body in ``overloaded``.
+    Where the whole may be used up, the share of a key may be, too.
     """
     described: dict[int | str, dict[str, Any]] = {}
     of_all = (
@@ -232,7 +235,8 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
         "storage_full",
         "unavailable",
     )
-    for code in dict.fromkeys((*codes, *of_all)):
+    shares = ("share_exhausted",) if "overloaded" in codes else ()
+    for code in dict.fromkeys((*codes, *shares, *of_all)):
         status, title = PROBLEMS[code]
         entry = described.setdefault(
             status,
@@ -297,8 +301,8 @@ def _of_full_queue(error: QueueFullError) -> ApiError:
     )
 
 
-def _of_quota(error: QuotaError) -> ApiError:
-    return ApiError("quota_exceeded", str(error), headers={"Retry-After": "60"})
+def _of_excess(code: str) -> Callable[[Exception], ApiError]:
+    return lambda error: ApiError(code, str(error), headers={"Retry-After": "60"})
 
 
 def _of_outage(part: str) -> Callable[[Exception], ApiError]:
@@ -371,7 +375,8 @@ TRANSLATIONS: dict[type[Exception], Callable[[Any], ApiError]] = {
     ConfigError: lambda error: invalid(f"/config/{error.field}", str(error)),
     KeyReusedError: lambda error: ApiError("idempotency_key_reused", str(error)),
     QueueFullError: _of_full_queue,
-    QuotaError: _of_quota,
+    QuotaError: _of_excess("quota_exceeded"),
+    ShareError: _of_excess("share_exhausted"),
     HTTPException: _of_http,
     DatabaseError: _of_database,
     OperationalError: _of_outage("records"),

@@ -79,6 +79,11 @@ class Keyring:
         """Return who has a token; None if no key in force has it. It waits for nothing."""
         return self._find(access_keys.digest(token))
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether any key is in force: then others than the service's own user may come."""
+        return len(self._callers) > len(self._fixed)
+
     def is_in_force(self, caller: Caller) -> bool:
         """Return whether a caller's key is still valid, without waiting."""
         return caller.digest is None or self._find(caller.digest) is not None

@@ -1,35 +1,177 @@
-"""Turns at work that takes much memory: a few have one at a time, others wait for a while."""
+"""Places that clients have: a few at a time, in shares of projects and keys (`store.shares`).
+
+Who asks for a place that may be held for long is refused at once where there is none (`Places`);
+who has work that takes a moment waits for a turn (`Turns`).
+"""
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, contextmanager
+from typing import NamedTuple, TypeVar
+
+from starlette.requests import HTTPConnection
 
 from service.http.errors import ApiError
+from service.http.fair_queue import FairQueue
+from service.http.keyring import Keyring, caller_of
+from store.shares import Shares, Who
 
 LONGEST_WAIT = 10.0  # seconds
 RETRY_SECONDS = "5"
 
+Result = TypeVar("Result")
 
-@asynccontextmanager
-async def turn(places: asyncio.Semaphore) -> AsyncIterator[None]:
-    """Wait for one of the places, first come, first served, and hold it.
 
-    Raises
-    ------
-    ApiError
-        503 if none became free within `LONGEST_WAIT`.
+def who_asks(connection: HTTPConnection) -> Who:
+    """Return whose share a request takes from."""
+    author = caller_of(connection).author
+    return Who(author.project, author.key_id)
+
+
+def is_shared(connection: HTTPConnection) -> bool:
+    """Return whether there are others, who may come at any time: keys that are in force."""
+    keyring: Keyring = connection.app.state.keyring
+    return keyring.is_shared
+
+
+def refused(shares: Shares, who: Who, *, shared: bool, whole: str, retry_seconds: str) -> ApiError:
+    """Return why somebody gets no more: the own share is used up, or the whole is.
+
+    Parameters
+    ----------
+    whole
+        What the error is called where the whole is used up, as a sentence.
     """
-    try:
-        async with asyncio.timeout(LONGEST_WAIT):
-            await places.acquire()
-    except TimeoutError:
-        raise ApiError(
-            "overloaded",
-            f"Those that came before have taken all places for {LONGEST_WAIT:g} s; try again in "
-            f"{RETRY_SECONDS} s.",
-            headers={"Retry-After": RETRY_SECONDS},
-        ) from None
-    try:
-        yield
-    finally:
-        places.release()
+    headers = {"Retry-After": retry_seconds}
+    if shared and (shares.free or shares.has_its_share(who)):
+        return ApiError(
+            "share_exhausted",
+            f"This key, or its project, has its share of {shares.whole} that all have together: "
+            "try again when some of its own have ended.",
+            headers=headers,
+        )
+    return ApiError("overloaded", whole, headers=headers)
+
+
+class Places:
+    """Places that may be held for long. One more is refused at once."""
+
+    def __init__(self, count: int) -> None:
+        self._shares = Shares(count)
+
+    def refusal(self, connection: HTTPConnection, whole: str) -> ApiError | None:
+        """Return why a client gets no place, if it gets none: `whole` where all are taken."""
+        who, shared = who_asks(connection), is_shared(connection)
+        if self._shares.may_take(who) if shared else self._shares.free:
+            return None
+        return refused(self._shares, who, shared=shared, whole=whole, retry_seconds="10")
+
+    @contextmanager
+    def held(self, connection: HTTPConnection) -> Iterator[None]:
+        """Hold a place, which was not refused just now."""
+        who = who_asks(connection)
+        self._shares.take(who)
+        try:
+            yield
+        finally:
+            self._shares.give_back(who)
+
+
+class _Waiting(NamedTuple):
+    who: Who
+    shared: bool
+    turn: "asyncio.Future[None]"
+
+
+class Turns:
+    """Turns at work: a few have one at a time, and projects take turns in waiting for them.
+
+    Parameters
+    ----------
+    count
+        Those at a time.
+    reserving
+        Whether no key gets so many that none is left for others: for work that takes longer than
+        others would wait.
+    """
+
+    def __init__(self, count: int, *, reserving: bool = False) -> None:
+        self._shares, self._reserving = Shares(count), reserving
+        self._waiting: FairQueue[_Waiting] = FairQueue()
+
+    @asynccontextmanager
+    async def turn(
+        self, connection: HTTPConnection, *, patient: bool = False
+    ) -> AsyncIterator[None]:
+        """Wait for a turn, and have it; `patient`: however long that takes.
+
+        Raises
+        ------
+        ApiError
+            429 or 503 if there was none within `LONGEST_WAIT`.
+        """
+        one = _Waiting(
+            who_asks(connection), is_shared(connection), asyncio.get_running_loop().create_future()
+        )
+        if self._may_begin(one):
+            self._shares.take(one.who)
+        else:
+            await self._wait(one, None if patient else LONGEST_WAIT)
+        try:
+            yield
+        finally:
+            self._end(one.who)
+
+    def _may_begin(self, one: _Waiting) -> bool:
+        if self._reserving and one.shared:
+            return self._shares.may_take(one.who)
+        return self._shares.free > 0
+
+    async def _wait(self, one: _Waiting, patience: float | None) -> None:
+        self._waiting.put(one.who, one)
+        try:
+            async with asyncio.timeout(patience):
+                await one.turn
+        except BaseException as error:
+            if one.turn.done() and not one.turn.cancelled():
+                self._end(one.who)  # it came at the same moment
+            else:
+                self._waiting.discard(one.who, one)
+            if not isinstance(error, TimeoutError):
+                raise
+            raise refused(
+                self._shares,
+                one.who,
+                shared=one.shared,
+                whole=f"Those that came before have taken all places for {patience:g} s; try again "
+                f"in {RETRY_SECONDS} s.",
+                retry_seconds=RETRY_SECONDS,
+            ) from None
+
+    def _end(self, who: Who) -> None:
+        self._shares.give_back(who)
+        while (one := self._waiting.pop(self._may_begin)) is not None:
+            if not one.turn.done():
+                self._shares.take(one.who)
+                one.turn.set_result(None)
+
+
+class Threads:
+    """Threads for work that is no other's to wait for, in turns of projects and keys."""
+
+    def __init__(self, count: int, name: str) -> None:
+        self._turns = Turns(count)
+        self._executor = ThreadPoolExecutor(count, thread_name_prefix=name)
+
+    async def run(
+        self, connection: HTTPConnection, work: Callable[..., Result], *arguments: object
+    ) -> Result:
+        """Do work in a thread; wait for one as long as it takes."""
+        async with self._turns.turn(connection, patient=True):
+            run = asyncio.get_running_loop().run_in_executor
+            return await run(self._executor, work, *arguments)
+
+    def close(self) -> None:
+        """Begin nothing more."""
+        self._executor.shutdown(wait=False, cancel_futures=True)

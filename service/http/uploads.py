@@ -20,7 +20,6 @@ from starlette.datastructures import FormData, UploadFile
 
 from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
-from service.http.turns import turn
 from service.settings import Settings
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -182,10 +181,10 @@ async def read_files(request: Request) -> AsyncIterator[Upload]:
 async def _in_turn(request: Request, upload: Upload) -> AsyncIterator[Upload]:
     state = request.app.state
     if upload.files:
-        async with turn(state.readers):
+        async with state.readers.turn(request):
             yield upload
     elif upload.is_large:
-        async with turn(state.large_uploads):
+        async with state.large_uploads.turn(request):
             yield upload
     else:
         yield upload

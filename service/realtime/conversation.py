@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections import deque
+from functools import partial
 
 import orjson
 from fastapi import WebSocket
@@ -45,6 +46,7 @@ class Conversation:
         self._websocket, self._engine, self._settings = websocket, engine, settings
         self._start, self._model, self._room = start, model, room
         self._prior = prior = model.prior
+        self._key_id = caller_of(websocket).author.key_id
         self._refine = start.refine or prior.config.refine
         self._continuity = start.continuity and self._refine != "off" and prior.cameras is not None
         self._latest = start.on_overload == "latest"
@@ -53,11 +55,12 @@ class Conversation:
             self._clock = FilmClock(start.fps)
             self._smoothed = SmoothedFrames(
                 engine,
-                websocket.app.state.lift_bodies,
+                partial(websocket.app.state.lift_bodies.run, websocket),
                 model,
                 following,
                 self._refine,
                 continuity=self._continuity,
+                key_id=self._key_id,
             )
         one = self._latest or self._continuity or following is not None
         self._at_a_time = 1 if one else FRAMES_IN_HAND
@@ -170,6 +173,7 @@ class Conversation:
             refine=self._refine,
             views=self._start.views,
             previous=before,
+            key_id=self._key_id,
         )
 
     async def write(self) -> None:

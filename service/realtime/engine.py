@@ -3,28 +3,26 @@
 Calls of the same model with the same options that arrive while the threads are busy are lifted
 together. A call that comes alone starts at once, and no call waits for others to join it. A call
 with more frames than a slice is cut, and its slices take turns with all other calls, so that no
-call waits for more than a slice or two of the others.
+call waits for more than a slice or two of the others. Projects and keys take turns (`calls.py`).
 """
 
 import asyncio
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from models.lifting.lift import LiftedFrames, join
 from models.lifting.observing import ObservedFrames, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
+from service.realtime.calls import Call, Float32, Piece, WaitingCalls, Way
 from service.realtime.warm_models import WarmModel, WarmModels
+from store.authors import OWNER
 from store.database import Store
 from store.errors import NotFoundError
 
@@ -34,49 +32,9 @@ SLICE_FRAMES = 256  # lifted by the network alone, which takes some 20 us a fram
 REFINED_FRAMES = 32  # refined, which takes some 1 ms a frame
 CLOSE_SECONDS = 2.0
 
-Float32 = NDArray[np.float32]
-
-
-class Way(NamedTuple):
-    """How frames are lifted. Only those of one way, and of one shape, can be lifted together."""
-
-    model: WarmModel
-    refine: Refine | None
-    views: tuple[int, ...] | None
-    shape: tuple[int, ...]  # (K, P, 2) of a frame
-    weighted: bool  # whether there is a confidence
-    follows: bool  # whether there are answers to frames before
-    observed: bool = False  # whether the frames were observed, and need only be lifted
-
 
 def _ignore(_figure: float) -> None:
     """Ignore a figure."""
-
-
-@dataclass(eq=False, slots=True)
-class _Call:
-    """One client's frames, on their way through the engine."""
-
-    way: Way
-    keypoints: Float32
-    confidence: Float32 | None
-    observed: ObservedFrames | None  # in place of these
-    previous: LiftedFrames | None
-    slice_size: int  # frames that are lifted in one go
-    answer: "asyncio.Future[LiftedFrames]"
-    frames: int
-    missing: int  # frames without an answer yet
-    asked_at: float = field(default_factory=time.perf_counter)
-    taken: int = 0  # frames that a thread has taken
-    parts: dict[int, LiftedFrames] = field(default_factory=dict)  # answers by their first frame
-
-
-class _Piece(NamedTuple):
-    """What of a call is lifted in one go."""
-
-    call: _Call
-    start: int
-    stop: int
 
 
 _Outcome = LiftedFrames | Exception
@@ -104,10 +62,7 @@ class Engine:
         """
         self._on_batch, self._on_answer = on_batch, on_answer
         self.models = WarmModels(store, max_bytes=max_bytes)
-        # Calls of up to a slice, by their ways, which take turns. Larger ones take turns singly.
-        self._small: dict[Way, deque[_Call]] = {}
-        self._large: deque[_Call] = deque()
-        self._large_next = False
+        self._waiting = WaitingCalls()
         self._closed = False
         self._changed = threading.Condition()
         use_threads(1)  # batches are spread over the cores, not the parts of one
@@ -136,11 +91,12 @@ class Engine:
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
         previous: LiftedFrames | None = None,
+        key_id: str = OWNER,
     ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
 
-        Called in the event loop. A future that is cancelled gives its place in the queue up.
-        Nothing is asked of records, objects or queue.
+        Called in the event loop, for a client with the key `key_id`. A future that is cancelled
+        gives its place in the queue up. Nothing is asked of records, objects or queue.
 
         Raises
         ------
@@ -155,7 +111,7 @@ class Engine:
             confidence is not None,
             previous is not None,
         )
-        return self._ask(way, keypoints, confidence, None, previous, len(keypoints))
+        return self._ask(way, key_id, keypoints, confidence, None, previous)
 
     def lift_observed(
         self,
@@ -164,6 +120,7 @@ class Engine:
         *,
         refine: Refine | None = None,
         previous: LiftedFrames | None = None,
+        key_id: str = OWNER,
     ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames that ``model`` observed as ``FittedPrior.lift_observed`` does; see `lift`."""
         keypoints, judged = observed.observations.keypoints, observed.outlier_probability
@@ -176,27 +133,33 @@ class Engine:
             previous is not None,
             observed=True,
         )
-        return self._ask(way, keypoints, None, observed, previous, len(keypoints))
+        return self._ask(way, key_id, keypoints, None, observed, previous)
 
     def _ask(
         self,
         way: Way,
+        key_id: str,
         keypoints: Float32,
         confidence: Float32 | None,
         observed: ObservedFrames | None,
         previous: LiftedFrames | None,
-        frames: int,
     ) -> "asyncio.Future[LiftedFrames]":
         answer: asyncio.Future[LiftedFrames] = asyncio.get_running_loop().create_future()
-        size = _slice_size(way.model, way.refine)
-        call = _Call(
-            way, keypoints, confidence, observed, previous, size, answer, frames, missing=frames
+        size, frames = _slice_size(way.model, way.refine), len(keypoints)
+        call = Call(
+            way,
+            key_id,
+            keypoints,
+            confidence,
+            observed,
+            previous,
+            size,
+            answer,
+            frames,
+            missing=frames,
         )
         with self._changed:
-            if frames > size:
-                self._large.append(call)
-            else:
-                self._small.setdefault(way, deque()).append(call)
+            self._waiting.put(call)
             self._changed.notify()
         return answer
 
@@ -216,7 +179,7 @@ class Engine:
                 with suppress(RuntimeError):  # the loop is closed: no caller waits any more
                     finished[0][0].answer.get_loop().call_soon_threadsafe(self._deliver, finished)
 
-    def _outcomes(self, pieces: list[_Piece]) -> "list[tuple[_Call, _Outcome]]":
+    def _outcomes(self, pieces: list[Piece]) -> "list[tuple[Call, _Outcome]]":
         """Lift, and return the answers to whole calls."""
         return [
             (piece.call, outcome)
@@ -224,48 +187,19 @@ class Engine:
             if (outcome := self._finished(piece, part)) is not None
         ]
 
-    def _take(self) -> list[_Piece]:
+    def _take(self) -> list[Piece]:
         """Wait for work and return what is lifted next; nothing once the engine is closed."""
         with self._changed:
             while not self._closed:
-                if not self._large and not self._small:
-                    self._changed.wait()
-                    continue
-                large = bool(self._large) and (self._large_next or not self._small)
-                self._large_next = not large
-                pieces = self._take_large() if large else self._take_small()
-                if self._large or self._small:
+                pieces = self._waiting.take()
+                if self._waiting:
                     self._changed.notify()  # another thread can go on with the rest
                 if pieces:
                     return pieces
+                self._changed.wait()
         return []
 
-    def _take_large(self) -> list[_Piece]:
-        """Take a slice of the call whose turn it is."""
-        call = self._large.popleft()
-        if call.answer.done():  # given up
-            return []
-        start, call.taken = call.taken, min(call.taken + call.slice_size, call.frames)
-        if call.taken < call.frames:
-            self._large.append(call)
-        return [_Piece(call, start, call.taken)]
-
-    def _take_small(self) -> list[_Piece]:
-        """Take the calls of the way whose turn it is, up to a slice."""
-        way = next(iter(self._small))
-        waiting = self._small.pop(way)
-        pieces: list[_Piece] = []
-        room = waiting[0].slice_size
-        while waiting and waiting[0].frames <= room:
-            call = waiting.popleft()
-            if not call.answer.done():
-                pieces.append(_Piece(call, 0, call.frames))
-                room -= call.frames
-        if waiting:
-            self._small[way] = waiting  # at the end
-        return pieces
-
-    def _lift(self, pieces: list[_Piece]) -> list[_Outcome]:
+    def _lift(self, pieces: list[Piece]) -> list[_Outcome]:
         model = pieces[0].call.way.model
         if model.gone:
             return [NotFoundError("model", model.id)] * len(pieces)
@@ -276,7 +210,7 @@ class Engine:
                 return [error]
         return [outcome for piece in pieces for outcome in self._lift([piece])]  # one is at fault
 
-    def _finished(self, piece: _Piece, part: _Outcome) -> _Outcome | None:
+    def _finished(self, piece: Piece, part: _Outcome) -> _Outcome | None:
         """Return the outcome of a whole call if this was the last part of it, or an error."""
         call = piece.call
         frames = piece.stop - piece.start
@@ -291,7 +225,7 @@ class Engine:
 
     # In the event loop:
 
-    def _deliver(self, finished: "list[tuple[_Call, _Outcome]]") -> None:
+    def _deliver(self, finished: "list[tuple[Call, _Outcome]]") -> None:
         now = time.perf_counter()
         for call, outcome in finished:
             if call.answer.done():  # given up meanwhile
@@ -310,7 +244,7 @@ def _slice_size(model: WarmModel, refine: Refine | None) -> int:
     return REFINED_FRAMES
 
 
-def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
+def _lift_together(pieces: list[Piece]) -> list[_Outcome]:
     way = pieces[0].call.way
     previous = [
         c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
@@ -325,7 +259,7 @@ def _lift_together(pieces: list[_Piece]) -> list[_Outcome]:
     ]
 
 
-def _observe(pieces: list[_Piece]) -> ObservedFrames:
+def _observe(pieces: list[Piece]) -> ObservedFrames:
     way = pieces[0].call.way
     observed = [
         c.observed.frames(slice(start, stop)) for c, start, stop in pieces if c.observed is not None

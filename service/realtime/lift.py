@@ -24,7 +24,7 @@ from service.http.keyring import caller_of
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
 from service.http.rates import Rates
-from service.http.turns import turn
+from service.http.turns import Threads, Turns
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames
@@ -263,7 +263,7 @@ async def lift(
         rooms.remembered,
     )
     if asked is None:  # the model or its room is not in memory: the records are read
-        async with turn(request.app.state.large_uploads):
+        async with request.app.state.large_uploads.turn(request):
             asked = await run_in_threadpool(
                 understand, partial(engine.models.get, project), rooms.find
             )
@@ -276,11 +276,14 @@ async def lift(
             confidence=asked.capture.confidence,
             refine=asked.refine,
             views=asked.views,
+            key_id=caller.author.key_id,
         )
     else:
         size = max(upload.decoded_bytes, TINY_BYTES + 1)  # smoothing takes longer than that
         observed = await _run(request, size, _observe, asked)
-        answer = engine.lift_observed(asked.model, observed, refine=asked.refine)
+        answer = engine.lift_observed(
+            asked.model, observed, refine=asked.refine, key_id=caller.author.key_id
+        )
     lifted = await _unless_gone(request, answer)
     if lifted is None:
         return Response(status_code=499)  # the client is gone
@@ -306,8 +309,8 @@ def _answer(
 
 async def _made_in_thread(request: Request, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
     """Give pieces that are made one by one, as the client takes them, in threads for bodies."""
-    run = asyncio.get_running_loop().run_in_executor
-    while piece := await run(request.app.state.lift_bodies, partial(next, pieces, b"")):
+    bodies: Threads = request.app.state.lift_bodies
+    while piece := await bodies.run(request, partial(next, pieces, b"")):
         yield piece
 
 
@@ -320,10 +323,10 @@ async def _run(
     """
     if size <= TINY_BYTES:
         return work(*arguments)
-    state = request.app.state
-    async with state.large_lifts if size >= LARGE_BYTES else nullcontext():
-        running = asyncio.get_running_loop().run_in_executor(state.lift_bodies, work, *arguments)
-        return await running
+    bodies: Threads = request.app.state.lift_bodies
+    large: Turns = request.app.state.large_lifts
+    async with large.turn(request, patient=True) if size >= LARGE_BYTES else nullcontext():
+        return await bodies.run(request, work, *arguments)
 
 
 async def _unless_gone(

@@ -1,6 +1,7 @@
 """The rooms of models, computed once and kept."""
 
 import threading
+from weakref import WeakKeyDictionary
 
 from models.settings.rooms import Up
 from service.http.errors import invalid
@@ -19,7 +20,9 @@ class Rooms:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._finding = threading.Lock()  # for which a whole reconstruction may be read
+        # Of each model, for a whole reconstruction may be read.
+        self._finding: WeakKeyDictionary[WarmModel, threading.Lock] = WeakKeyDictionary()
+        self._lock = threading.Lock()
 
     def find(self, model: WarmModel, up: Up | None) -> Room:
         """Return the room of a model as :func:`worker.rooms.find_room` does; it may take a while.
@@ -31,7 +34,9 @@ class Rooms:
         """
         room = self.remembered(model, up)
         if room is None:
-            with self._finding:
+            with self._lock:
+                finding = self._finding.setdefault(model, threading.Lock())
+            with finding:
                 room = self.remembered(model, up)
                 if room is None:
                     source = model.fit_id

@@ -1,11 +1,11 @@
 """The frames of a stream with a lag: each is lifted when as many more have come."""
 
-import asyncio
 from collections import deque
-from concurrent.futures import Executor
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 from models.lifting.lift import LiftedFrames
-from models.lifting.observing import Following
+from models.lifting.observing import Following, ObservedFrames
 from models.settings.config import Refine
 from service.realtime.engine import Engine
 from service.realtime.stream_frames import Frame
@@ -18,16 +18,18 @@ class SmoothedFrames:
     def __init__(
         self,
         engine: Engine,
-        executor: Executor,
+        run: Callable[..., Coroutine[Any, Any, ObservedFrames | None]],
         model: WarmModel,
         following: Following,
         refine: Refine,
         *,
         continuity: bool,
+        key_id: str,
     ) -> None:
-        """Smooth in threads of `executor`, and lift with the engine."""
-        self._engine, self._executor, self._model = engine, executor, model
+        """Smooth in threads, in which `run` does work, and lift with the engine."""
+        self._engine, self._run, self._model = engine, run, model
         self._following, self._refine, self._continuity = following, refine, continuity
+        self._key_id = key_id
         self._waiting: deque[Frame] = deque()
         self._previous: LiftedFrames | None = None
 
@@ -36,16 +38,13 @@ class SmoothedFrames:
 
         To be awaited before the next frame is given.
         """
-        run = asyncio.get_running_loop().run_in_executor
         if frame.flush:
-            observed = await run(self._executor, self._following.flush)
+            observed = await self._run(self._following.flush)
         else:
             assert frame.capture is not None  # noqa: S101
             self._waiting.append(frame)
             keypoints, confidence = frame.capture.keypoints, frame.capture.confidence
-            observed = await run(
-                self._executor, self._following.push, keypoints, confidence, frame.time
-            )
+            observed = await self._run(self._following.push, keypoints, confidence, frame.time)
         answered: list[tuple[Frame, LiftedFrames]] = []
         while observed is not None and len(answered) < len(observed.observations.weights):
             lift = await self._engine.lift_observed(
@@ -53,6 +52,7 @@ class SmoothedFrames:
                 observed.frames(slice(len(answered), len(answered) + 1)),
                 refine=self._refine,
                 previous=self._previous if self._continuity else None,
+                key_id=self._key_id,
             )
             self._previous = lift
             answered.append((self._waiting.popleft(), lift))

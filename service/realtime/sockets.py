@@ -14,6 +14,7 @@ from service.http.dependencies import refuse_if_leaving
 from service.http.errors import PROBLEMS, ApiError, FieldError, translated
 from service.http.keyring import while_let_in
 from service.http.origins import refuse_foreign
+from service.http.turns import Places
 from service.wire.stream_messages import StreamError
 
 CLOSE_CODE = 4000  # plus the status of the problem that ends a stream
@@ -23,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 async def serve(
     websocket: WebSocket,
-    places: asyncio.Semaphore,
+    places: Places,
     work: Callable[[WebSocket], Coroutine[Any, Any, None]],
 ) -> None:
     """Work for a client until it leaves, its key is revoked, or something goes wrong.
@@ -34,7 +35,7 @@ async def serve(
     if refusal is not None:
         await websocket.send_denial_response(refusal.response())
         return
-    async with places:
+    with places.held(websocket):
         await websocket.accept(subprotocol_of(websocket))
         try:
             await while_let_in(websocket, work(websocket))
@@ -52,20 +53,16 @@ async def serve(
                 await websocket.close()
 
 
-def _refusal(websocket: WebSocket, places: asyncio.Semaphore) -> ApiError | None:
+def _refusal(websocket: WebSocket, places: Places) -> ApiError | None:
     """Return why the handshake is refused, if it is."""
     try:
         refuse_foreign(websocket)
         refuse_if_leaving(websocket)
     except ApiError as error:
         return error
-    if places.locked():
-        return ApiError(
-            "overloaded",
-            "As many streams are open as may be; try again when some are closed.",
-            headers={"Retry-After": "10"},
-        )
-    return None
+    return places.refusal(
+        websocket, "As many streams are open as may be; try again when some are closed."
+    )
 
 
 async def beside(work: Coroutine[Any, Any, None], *others: Coroutine[Any, Any, None]) -> None:

@@ -77,7 +77,8 @@ async def _converse(websocket: WebSocket) -> None:
     engine: Engine = websocket.app.state.engine
     open_streams: OpenStreams = websocket.app.state.open_streams
     settings: Settings = websocket.app.state.settings
-    patience = settings.stream_idle_seconds
+    # Until a stream has begun it has as long as the head of a request: places are few.
+    patience = min(settings.request_seconds, settings.stream_idle_seconds)
     try:
         async with asyncio.timeout(patience) as silence:
             start = _read_start(await receive(websocket))
@@ -97,6 +98,7 @@ async def _converse(websocket: WebSocket) -> None:
                 room = rooms.remembered(model, start.up)
                 if room is None:
                     room = await run_in_threadpool(rooms.find, model, start.up)
+            patience = settings.stream_idle_seconds
             conversation = Conversation(websocket, engine, settings, start, model, room, following)
             await websocket.send_text(conversation.ready())
             try:

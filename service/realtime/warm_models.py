@@ -3,7 +3,7 @@
 import gc
 import logging
 import threading
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -52,7 +52,7 @@ class WarmModel:
 
 
 class WarmModels:
-    """Models in memory; the least recently used are dropped first. Safe to use from many threads.
+    """Models in memory, of which those used longest ago are dropped. Safe to use from many threads.
 
     A separate thread checks once a second which models still exist. So lifts continue while the
     records cannot be read, and a model that any process deleted is served for at most a second
@@ -198,7 +198,7 @@ class WarmModels:
         self._kept[model.id] = model
         self._kept.move_to_end(model.id)
         while len(self._kept) > 1 and self._bytes() > self._max_bytes:
-            self._kept.popitem(last=False)
+            del self._kept[self._dispensable(model).id]
 
     def warm_newest(self) -> None:
         """Make the newest model warm, and ready what all lifts need, before anyone asks."""
@@ -210,6 +210,17 @@ class WarmModels:
 
     def _bytes(self) -> int:
         return sum(model.weights_bytes for model in self._kept.values())
+
+    def _dispensable(self, newest: WarmModel) -> WarmModel:
+        """Return the model that is dropped: of the project with most bytes, that used longest ago.
+
+        So a project that uses many models drops its own, and nobody else's.
+        """
+        others = [model for model in self._kept.values() if model is not newest]
+        sizes: Counter[str] = Counter()
+        for model in self._kept.values():
+            sizes[model.project] += model.weights_bytes
+        return max(others, key=lambda model: sizes[model.project])  # of equals the first
 
 
 def _prepare(prior: FittedPrior) -> None:

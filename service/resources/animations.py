@@ -12,7 +12,6 @@ from service.http.downloads import bytes_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import OCTETS
 from service.http.operations import file_responses
-from service.http.turns import turn
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.resources.fits import FitDep
 from service.resources.reconstructions import model_of, stored_arrays
@@ -30,7 +29,7 @@ MOST_POINTS = 3_000_000  # in one file: the slowest format, BVH, takes half a mi
 
 async def take_turn(request: Request) -> AsyncIterator[None]:
     """Have animations, which are made whole in memory, wait their turn as large uploads do."""
-    async with turn(request.app.state.large_uploads):
+    async with request.app.state.large_uploads.turn(request):
         yield
 
 

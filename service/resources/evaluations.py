@@ -10,7 +10,6 @@ from fastapi import APIRouter, Depends, Request
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
-from service.http.turns import turn
 from service.http.uploads import Upload, UploadBody
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.engine import Engine
@@ -40,7 +39,7 @@ router = APIRouter(tags=["evaluations"])
 
 async def take_turn(request: Request, upload: UploadBody) -> AsyncIterator[Upload]:
     """Have a few evaluations at a time: each may hold hundreds of megabytes."""
-    async with turn(request.app.state.calculations):
+    async with request.app.state.calculations.turn(request):
         yield upload
 
 

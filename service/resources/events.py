@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from sqlalchemy import select
 
 from service.http.dependencies import refuse_if_leaving
-from service.http.errors import ApiError
+from service.http.turns import Places
 from store import jobs
 from store.database import Store
 from store.jobs import Job
@@ -19,7 +19,10 @@ from store.jobs import Job
 logger = logging.getLogger(__name__)
 
 LOOK_SECONDS = 0.25  # between two looks
-RETRY_SECONDS = "10"
+ALL_FOLLOWED = (
+    "As many jobs are followed as may be; try again when some have ended, or ask for the job "
+    "itself now and then."
+)
 
 
 @dataclass(eq=False)
@@ -124,18 +127,15 @@ async def take_place(request: Request) -> AsyncIterator[Events]:
     Raises
     ------
     ApiError
-        503 if there are too many, or if this process shuts down.
+        429 if the key or its project has its share of them, 503 if there are too many in all, or
+        if this process shuts down.
     """
     refuse_if_leaving(request)
-    places: asyncio.Semaphore = request.app.state.event_places
-    if places.locked():
-        raise ApiError(
-            "overloaded",
-            "As many jobs are followed as may be; try again when some have ended, or ask for the "
-            "job itself now and then.",
-            headers={"Retry-After": RETRY_SECONDS},
-        )
-    async with places:
+    places: Places = request.app.state.event_places
+    refusal = places.refusal(request, ALL_FOLLOWED)
+    if refusal is not None:
+        raise refusal
+    with places.held(request):
         yield request.app.state.events
 
 

@@ -23,7 +23,6 @@ from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
 from service.http.operations import file_responses, request_body
-from service.http.turns import turn
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route, etag_of
@@ -260,7 +259,7 @@ def download_weights(model_id: Identifier, store: StoreDep, request: Request) ->
 
 async def take_turn(request: Request) -> AsyncIterator[None]:
     """Have a few networks made at a time, so that threads are left for others."""
-    async with turn(request.app.state.calculations):
+    async with request.app.state.calculations.turn(request):
         yield
 
 

@@ -18,7 +18,6 @@ from service.http.downloads import ranged_response, streamed_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import file_responses
-from service.http.turns import turn
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.lift import RefineQuery
 from service.resources.fits import FitDep
@@ -93,7 +92,7 @@ async def take_turn(
     if in_parts and up is None and _is_stored(fit, refine):  # `up` may read all frames
         yield
     else:
-        async with turn(request.app.state.large_uploads):
+        async with request.app.state.large_uploads.turn(request):
             yield
 
 

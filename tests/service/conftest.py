@@ -29,6 +29,8 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
+from store import access_keys
+from store.database import Store
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
@@ -148,6 +150,16 @@ def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
         max_queued_fits=20,
         max_queued_lifts=5,
     )
+
+
+@pytest.fixture(scope="module")
+def keys_end(settings: Settings) -> Iterator[None]:
+    """Revoke the keys that a module's tests made: while one is in force, nobody has the whole."""
+    yield
+    store = Store(settings)
+    for key in access_keys.in_force(store):
+        access_keys.revoke(store, key.id)
+    store.close()
 
 
 @pytest.fixture(scope="session")

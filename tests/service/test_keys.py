@@ -21,6 +21,8 @@ from tests.service.conftest import (
 )
 from tests.waiting import wait_for
 
+pytestmark = pytest.mark.usefixtures("keys_end")
+
 # What a route needs, by the begin of its path or else its method.
 NEEDS = {
     "/keys": "admin",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
-from store import datasets, housekeeping, lift_chunks, lifts, lookup, models
+from store import datasets, housekeeping, jobs, lift_chunks, lifts, lookup, models
 from store.array_files import LaidOutFile
 from store.capture import Capture
 from store.crc import combine
@@ -189,19 +189,19 @@ def test_a_lift_that_ended_otherwise_cannot_be_cancelled(store: Store, lift: Lif
 
 
 def test_each_job_that_starts_makes_room_for_one_more(store: Store, lift: LiftRecord) -> None:
-    first = lifts.waiting_job(lift)
+    first = jobs.waiting_job(lift)
     assert first == lift.job_id == lift.id
     claim(store, join(lift))
     called = lifts.call_next(store, lift.id, first)
     assert called is not None
-    second = lifts.waiting_job(called)
+    second = jobs.waiting_job(called)
     assert second != first
     for job_id in (first, second):
         found = lifts.helped(store, job_id)
         assert found is not None
         assert found.id == lift.id
     assert lifts.call_next(store, lift.id, first) is None  # it came twice
-    assert [lifts.waiting_job(waiting) for waiting in lifts.recover(store)] == [second]
+    assert [jobs.waiting_job(waiting) for waiting in lifts.recover(store)] == [second]
     helper = join(lift)
     chunk = claim(store, helper)
     claim(store, join(lift))

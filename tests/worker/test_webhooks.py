@@ -8,6 +8,7 @@ import signal
 import threading
 from base64 import b64decode, b64encode
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
@@ -16,9 +17,11 @@ from redis import Redis
 from sqlalchemy import text
 from standardwebhooks import Webhook
 
-from store import access_keys, fits, jobs, lifts, lookup, webhooks
+from store import access_keys, datasets, fits, jobs, lifts, lookup, webhooks
 from store.authors import Author
+from store.capture import Capture
 from store.database import Store
+from store.datasets import CaptureDescription
 from store.errors import InputError
 from store.records import Delivery, FitRecord
 from tests.deployments import on_every_deployment
@@ -68,6 +71,12 @@ class Receiver:
 
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
+    with receiving() as made:
+        yield made
+
+
+@contextmanager
+def receiving() -> Iterator[Receiver]:
     made = Receiver()
     thread = threading.Thread(target=made.server.serve_forever)
     thread.start()
@@ -324,3 +333,25 @@ def test_webhooks_are_bounded_in_number(store: Store) -> None:
     with pytest.raises(InputError, match="at most"):
         webhooks.create(store, "https://example.com", webhooks.EVENTS)
     webhooks.create(store.on_behalf_of(Author("other")), "https://example.com", webhooks.EVENTS)
+
+
+def test_a_host_that_never_answers_keeps_only_its_own_messages_waiting(
+    receiver: Receiver, store: Store, settings: WorkerSettings, capture: Capture
+) -> None:
+    with ExitStack() as ending:
+        silent = ending.enter_context(receiving())
+        silent.answering.clear()
+        ending.callback(silent.answering.set)
+        greedy, other = (store.on_behalf_of(Author(project)) for project in ("greedy", "other"))
+        for n in range(webhooks.MAX_WEBHOOKS - 1):
+            webhooks.create(greedy, f"{silent.url}&n={n}", webhooks.EVENTS)
+        for mine in (greedy, other):
+            webhooks.create(mine, receiver.url, webhooks.EVENTS)
+        for mine in (greedy, other):
+            dataset = datasets.create(mine, capture, CaptureDescription("figure"))
+            cancelled_fit(mine, dataset.id)
+        delivering = threading.Thread(target=deliver, args=[settings])
+        delivering.start()
+        ending.callback(delivering.join)
+        wait_for(lambda: len(receiver.got) == 2, "the messages that can arrive", 10)
+        assert len(silent.got) == webhooks.OF_HOST
