@@ -6,11 +6,13 @@ import { keepKey, onKeyNeeded } from "./api/key.ts";
 import { DatasetsScreen } from "./datasets/datasets_screen.tsx";
 import { DatasetScreen } from "./datasets/dataset_screen.tsx";
 import { NewScreen } from "./datasets/new_screen.tsx";
+import { Comparison } from "./fits/comparison.tsx";
 import { FitScreen } from "./fits/fit_screen.tsx";
 import { FitsScreen } from "./fits/fits_screen.tsx";
 import { ModelScreen } from "./models/model_screen.tsx";
 import { ModelsScreen } from "./models/models_screen.tsx";
 import { currentRoute, linkTo } from "./route.ts";
+import { keepPlaces } from "./scrolling.ts";
 import { StorageScreen } from "./storage/storage_screen.tsx";
 
 const LiveScreen = lazy(() => import("./live/live_screen.tsx"));
@@ -31,6 +33,7 @@ export function App() {
     window.addEventListener("hashchange", go);
     return () => window.removeEventListener("hashchange", go);
   }, []);
+  useEffect(keepPlaces, []);
   useEffect(() => onKeyNeeded(() => setKeyNeeded(true)), []);
   return (
     <>
@@ -71,6 +74,7 @@ export function App() {
 
 function Screen({ path }: { path: string[] }) {
   const [kind, id] = path;
+  if (kind === "fits" && id === "comparison") return <Comparison />;
   if (kind === "fits" && id !== undefined) return <FitScreen id={id} />;
   if (kind === "datasets" && id === "new") return <NewScreen />;
   if (kind === "datasets" && id !== undefined) return <DatasetScreen id={id} />;

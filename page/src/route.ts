@@ -26,5 +26,6 @@ export function goTo(...path: string[]): void {
 /** Changes the query of the address without a step in the browser's history. */
 export function keepInAddress(query: Record<string, string>): void {
   const { path } = currentRoute();
-  history.replaceState(null, "", `${linkTo(...path)}?${new URLSearchParams(query)}`);
+  const behind = new URLSearchParams(query).toString();
+  history.replaceState(history.state, "", `${linkTo(...path)}${behind && `?${behind}`}`);
 }

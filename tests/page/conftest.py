@@ -15,9 +15,18 @@ from tests.service.conftest import Live, kill_service, start_service
 
 pytest.importorskip("playwright", reason="playwright is not installed")
 
-from playwright.sync_api import Browser, BrowserContext, Page, Request, expect, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    Page,
+    Request,
+    ViewportSize,
+    expect,
+    sync_playwright,
+)
 
 expect.set_options(timeout=30_000)  # other tests may keep the machine busy
+HAND = ViewportSize(width=390, height=844)
 CHROMIUM = shutil.which("chromium")
 # Draws in three dimensions without a graphics card.
 SOFTWARE = (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
-from tests.page.conftest import watch
+from tests.page.conftest import HAND, watch
 from tests.page.project import checked_out
 from tests.page.proxy import proxied
 from tests.page.stored import Stored
@@ -27,7 +27,7 @@ SCREENS = (
     "#/fits/{failed}",
 )
 COLOURED = ("", "#/models/{model}", "#/storage", "#/fits/{fit}")  # whose colours are all there are
-HAND, DESK = ViewportSize(width=390, height=844), ViewportSize(width=1280, height=800)
+DESK = ViewportSize(width=1280, height=800)
 
 
 def test_behind_a_prefix_the_page_asks_for_a_key_and_keeps_it(

@@ -108,7 +108,7 @@ def test_a_fit_is_cancelled_in_the_list_and_one_that_failed_says_what_to_do(
     watched: Watched, stored: Stored, long_fit: str
 ) -> None:
     page = watched.open()
-    row = page.get_by_role("listitem").filter(has=page.locator(f"a[href*={long_fit}]"))
+    row = page.get_by_role("row").filter(has=page.locator(f"a[href*={long_fit}]"))
     expect(page.get_by_text("worker")).to_be_visible()
     row.get_by_role("button", name="Cancel test").click()
     expect(row.get_by_text("cancelled", exact=True)).to_be_visible()

@@ -18,19 +18,6 @@ export type LiftStream = Schemas["LiftStream"];
 /** What has a page of its own, and can be renamed and deleted. */
 export type Kind = "datasets" | "fits" | "models";
 
-interface Page<T> {
-  items: T[];
-  next_cursor?: string | null;
-}
-
-const MOST = 50; // of a list at a time
-const MOST_ALIASES = 200;
-
-export const listFits = (cursor?: string) => listed<Fit>("fits", cursor);
-export const listFitsOf = (dataset: string) =>
-  askJson<Page<Fit>>(`fits?status=succeeded&limit=${MOST}&dataset_id=${encodeURIComponent(dataset)}`);
-export const listDatasets = (cursor?: string) => listed<Dataset>("datasets", cursor);
-export const listModels = (cursor?: string) => listed<ModelSummary>("models", cursor);
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
@@ -40,19 +27,14 @@ export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
 export const createFit = (body: object) => sendJson<Fit>("fits", body);
 export const cancelFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
-export const listAliases = () => askJson<Page<Alias>>(`aliases?limit=${MOST_ALIASES}`);
 export const setAlias = (alias: string, model: string) =>
   sendJson<Alias>(`models/${encodeURIComponent(alias)}`, { model_id: model }, "PUT");
 export const deleteAlias = (alias: string) => remove("models", alias);
 export const getStorage = () => askJson<Storage>("storage");
-export const listStreams = () => askJson<Page<LiftStream>>("lift/streams");
-export const getQueues = () => askJson<Page<WaitingJobs>>("queues");
+/** Changes the labels of something stored, and returns those that it has then. */
+export const relabel = (kind: Kind, id: string, labels: { tags: string[] }) =>
+  sendJson<{ tags: string[] }>(`${kind}/${encodeURIComponent(id)}`, labels, "PATCH");
 export const rename = (kind: Kind, id: string, name: string) =>
   sendJson<{ name: string }>(`${kind}/${encodeURIComponent(id)}`, { name }, "PATCH");
 export const remove = (kind: Kind | "lifts", id: string) =>
   ask(`${kind}/${encodeURIComponent(id)}`, { method: "DELETE" });
-
-function listed<T>(kind: string, cursor?: string): Promise<Page<T>> {
-  const next = cursor === undefined ? "" : `&cursor=${encodeURIComponent(cursor)}`;
-  return askJson<Page<T>>(`${kind}?limit=${MOST}${next}`);
-}

@@ -17,6 +17,21 @@ export interface Result {
   loader: Loader;
 }
 
+const MODEL_GONE = "Its model was deleted, and with it the cameras.";
+const CAPTURE_GONE = "Its dataset was deleted, and with it what the cameras saw.";
+
+/** A result that can no longer be drawn, because something that it needs was deleted. */
+export class Unplayable extends Error {}
+
+/** Returns what is waited for; throws `Unplayable` where it does not exist. */
+async function unlessGone<T>(asked: Promise<T>, why: string): Promise<T> {
+  try {
+    return await asked;
+  } catch (error) {
+    throw error instanceof Refusal && error.status === 404 ? new Unplayable(why) : error;
+  }
+}
+
 const QUERIES: Record<Frame, string> = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" };
 
 /** Returns the result of a fit that has succeeded: all of a short one, else a few of all frames and
@@ -25,11 +40,14 @@ const QUERIES: Record<Frame, string> = { level: "&frame=room&up=auto", camera: "
  * @param onAsked called as soon as the service was asked for frames */
 export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => void): Promise<Result> {
   if (fit.model_id === null || fit.model_id === undefined) {
-    throw new Error("The model of this fit was deleted, and with it the cameras.");
+    throw new Unplayable(MODEL_GONE);
   }
   const model = getModel(fit.model_id);
   model.catch(() => {}); // it is waited for below
-  const [file, cameras] = await Promise.all([remoteCapture(fit.dataset_id), getCameras(fit.model_id)]);
+  const [file, cameras] = await Promise.all([
+    unlessGone(remoteCapture(fit.dataset_id), CAPTURE_GONE),
+    unlessGone(getCameras(fit.model_id), MODEL_GONE),
+  ]);
   const { size, step } = partsOf(fit.frames, file.capture);
   const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
   const end = Math.min(fit.frames, first + size);

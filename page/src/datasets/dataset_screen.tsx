@@ -1,9 +1,11 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { createFit, getDataset, listFitsOf, type Dataset, type Fit } from "../api/resources.ts";
+import { listFits } from "../api/lists.ts";
+import { createFit, getDataset, type Dataset, type Fit } from "../api/resources.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
+import { Tags } from "../lists/tags.tsx";
 import { Alert, Waiting } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo, linkTo } from "../route.ts";
@@ -19,7 +21,7 @@ export function DatasetScreen({ id }: { id: string }) {
   const [frame, setFrame] = useState<Drawn | null>(null);
   const [fits, setFits] = useState<Fit[]>([]);
   useEffect(() => {
-    listFitsOf(id).then(
+    listFits({ dataset_id: id, status: "succeeded" }).then(
       (page) => setFits(page.items),
       () => {}, // the words do without
     );
@@ -47,6 +49,7 @@ export function DatasetScreen({ id }: { id: string }) {
         <NamedHeading kind="datasets" id={id} name={dataset.name} onName={(name) => setDataset({ ...dataset, name })} />
         <span class="quiet">{captured(dataset)}</span>
       </header>
+      <Tags key={dataset.id} kind="datasets" id={dataset.id} tags={dataset.tags} />
       <section class="panel">
         <h2>What was understood</h2>
         <Understood facts={dataset} frame={frame} />
@@ -83,13 +86,7 @@ export function DatasetScreen({ id }: { id: string }) {
           </p>
         </section>
       )}
-      <DeleteButton
-        kind="datasets"
-        id={id}
-        what="this dataset"
-        kept="Fits and models of it stay, without what the cameras saw."
-        onDeleted={() => goTo("datasets")}
-      />
+      <DeleteButton kind="datasets" id={id} what="this dataset" onDeleted={() => goTo("datasets")} />
     </main>
   );
 }

@@ -1,30 +1,43 @@
 /** All datasets, the newest first. */
 
-import { listDatasets, type Dataset } from "../api/resources.ts";
-import { captured } from "../fits/fits_screen.tsx";
-import { moment } from "../parts/format.ts";
-import { ListScreen, NewCapture, Warnings } from "../parts/list_screen.tsx";
-import { useList } from "../parts/use_list.ts";
-import { linkTo } from "../route.ts";
+import { listDatasets } from "../api/lists.ts";
+import type { Dataset } from "../api/resources.ts";
+import { ListScreen, NewCapture, Warnings } from "../lists/list_screen.tsx";
+import type { Column } from "../lists/table.tsx";
+import { useList } from "../lists/use_list.ts";
+import { moment, number } from "../parts/format.ts";
+
+const COLUMNS: Column<Dataset>[] = [
+  { title: "Frames", cell: ({ frames }) => frames.toLocaleString("en"), order: ({ frames }) => frames },
+  { title: "Views", cell: ({ views }) => views, order: ({ views }) => views },
+  { title: "Keypoints", cell: ({ keypoints }) => keypoints, order: ({ keypoints }) => keypoints },
+  { title: "Frames/s", cell: ({ fps }) => number(fps), order: ({ fps }) => fps ?? NaN },
+  {
+    title: "Noticed",
+    cell: (dataset) => (
+      <>
+        <Warnings findings={dataset.findings} /> {dataset.has_ground_truth && <span class="chip">ground truth</span>}
+      </>
+    ),
+    order: ({ findings }) => findings.length,
+  },
+  {
+    title: "Stored",
+    cell: ({ created_at: at }) => moment(at),
+    order: ({ created_at: at }) => Date.parse(at),
+  },
+];
 
 export function DatasetsScreen() {
-  const row = (dataset: Dataset) => <DatasetRow dataset={dataset} />;
   return (
-    <ListScreen title="Datasets" list={useList(listDatasets)} beside={<NewCapture />} teach={<Teach />} row={row} />
-  );
-}
-
-function DatasetRow({ dataset }: { dataset: Dataset }) {
-  return (
-    <a class="panel row" href={linkTo("datasets", dataset.id)}>
-      <strong>{dataset.name}</strong>
-      <span class="quiet">{captured(dataset)}</span>
-      <span class="facts">
-        <Warnings findings={dataset.findings} />
-        {dataset.has_ground_truth && <span class="chip">ground truth</span>}
-        <span class="quiet">{moment(dataset.created_at)}</span>
-      </span>
-    </a>
+    <ListScreen
+      kind="datasets"
+      title="Datasets"
+      list={useList(listDatasets)}
+      columns={COLUMNS}
+      beside={<NewCapture />}
+      teach={<Teach />}
+    />
   );
 }
 

@@ -3,6 +3,7 @@
 
 import { addressOf, keyHeader, refusalOf, Refusal } from "../api/http.ts";
 import { getDataset, type Dataset, type DatasetPreview } from "../api/resources.ts";
+import { unique } from "../parts/unique.ts";
 import { partsOf, type Parts } from "./parts.ts";
 import { forget, recall, remember } from "./unfinished.ts";
 
@@ -29,7 +30,7 @@ export async function upload(files: File[], description: Description, watching: 
   const file = arraysIn(files);
   const parts = file && (await partsOf(file));
   if (file !== null && parts !== null) return uploadInParts(file, parts, description, watching);
-  const key = crypto.randomUUID();
+  const key = unique();
   return persisting(watching, () => send<Dataset>("datasets", formOf(files, description), watching, key));
 }
 
@@ -45,7 +46,7 @@ export async function lookAt(files: File[], description: Description, watching: 
 
 async function uploadInParts(file: File, parts: Parts, description: Description, watching: Watching): Promise<Dataset> {
   const share = (frames: number) => watching.onProgress(frames / parts.frames);
-  const key = crypto.randomUUID();
+  const key = unique();
   const found = await begunBefore(file, watching);
   let dataset =
     found ??

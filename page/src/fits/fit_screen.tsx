@@ -5,6 +5,7 @@ import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
 import { Refusal } from "../api/http.ts";
 import { getFit, type Fit } from "../api/resources.ts";
+import { Tags } from "../lists/tags.tsx";
 import { Alert } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo, linkTo } from "../route.ts";
@@ -78,6 +79,7 @@ export function FitScreen({ id }: { id: string }) {
           )}
         </span>
       </header>
+      <Tags key={fit.id} kind="fits" id={fit.id} tags={fit.tags} />
       {isGoingOn(fit) && <Alert>{trouble && `${trouble.message} Trying again.`}</Alert>}
       {isGoingOn(fit) && <Progress fit={fit} history={history} onFit={setFit} />}
       {(fit.status === "failed" || fit.status === "cancelled") && <Failure fit={fit} />}
@@ -86,15 +88,7 @@ export function FitScreen({ id }: { id: string }) {
           <ResultScreen fit={fit} />
         </Suspense>
       )}
-      {!isGoingOn(fit) && (
-        <DeleteButton
-          kind="fits"
-          id={fit.id}
-          what="this fit"
-          kept="Its dataset and its model stay."
-          onDeleted={() => goTo()}
-        />
-      )}
+      {!isGoingOn(fit) && <DeleteButton kind="fits" id={fit.id} what="this fit" onDeleted={() => goTo()} />}
     </main>
   );
 }

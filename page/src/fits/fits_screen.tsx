@@ -2,77 +2,172 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
-import {
-  cancelFit,
-  getQueues,
-  listDatasets,
-  listFits,
-  listModels,
-  type Dataset,
-  type DatasetPreview,
-  type Fit,
-  type WaitingJobs,
-} from "../api/resources.ts";
+import { listDatasets, listFits, listModels, listQueues, listThese } from "../api/lists.ts";
+import { cancelFit, type Dataset, type DatasetPreview, type Fit, type WaitingJobs } from "../api/resources.ts";
+import { ListScreen, NewCapture, Warnings } from "../lists/list_screen.tsx";
+import type { Column } from "../lists/table.tsx";
+import { useList } from "../lists/use_list.ts";
 import { count, duration, moment, number, percent, pixels } from "../parts/format.ts";
-import { ListScreen, NewCapture, Warnings } from "../parts/list_screen.tsx";
-import { useList } from "../parts/use_list.ts";
 import { linkTo } from "../route.ts";
+import { linkToComparison } from "./comparison.tsx";
 import { isGoingOn } from "./fit_screen.tsx";
+import { secondsOf, unusualSettings } from "./settings.ts";
 import { Status } from "./status.tsx";
+
+const STATUSES = ["queued", "running", "succeeded", "failed", "cancelled"] as const;
 
 export function FitsScreen() {
   const fits = useList(listFits);
-  const [datasets, setDatasets] = useState<Dataset[] | null>(null);
-  const [errors, setErrors] = useState(new Map<string, number>()); // pixels, by model
   const [broken, setBroken] = useState<string | null>(null); // why a fit cannot be followed
-
-  useEffect(() => {
-    Promise.all([listDatasets(), listModels()]).then(
-      ([sets, models]) => {
-        setDatasets(sets.items);
-        setErrors(
-          new Map(
-            models.items.flatMap((model) => (model.reprojection_error ? [[model.id, model.reprojection_error]] : [])),
-          ),
-        );
-      },
-      (error: Error) => setBroken(error.message),
-    );
-  }, []);
+  const { datasets, errors, trouble } = useBeside(fits.items ?? []);
   const going = (fits.items ?? []).filter(isGoingOn).map((fit) => fit.id);
   useEffect(() => {
     const stops = going.map((id) => followFit(id, fits.put, (error) => setBroken(error?.message ?? null)));
     return () => stops.forEach((stop) => stop());
   }, [going.join()]);
 
-  const row = (fit: Fit) => (
-    <>
-      <FitRow
-        fit={fit}
-        dataset={datasets?.find((dataset) => dataset.id === fit.dataset_id)}
-        error={errors.get(fit.model_id ?? "")}
-      />
-      {isGoingOn(fit) && <CancelButton fit={fit} onFit={fits.put} />}
-    </>
-  );
-  const fitted = new Set((fits.items ?? []).map((fit) => fit.dataset_id));
-  const unfitted = fits.items === null ? [] : (datasets ?? []).filter((dataset) => !fitted.has(dataset.id));
+  const settings = unusualSettings(fits.items ?? []);
+  const columns: Column<Fit>[] = [
+    {
+      title: "Dataset",
+      cell: (fit) => <DatasetName dataset={datasets.get(fit.dataset_id)} />,
+      order: (fit) => datasets.get(fit.dataset_id)?.name ?? "",
+    },
+    { title: "Frames", cell: ({ frames }) => frames.toLocaleString("en"), order: ({ frames }) => frames },
+    { title: "Views", cell: (fit) => datasets.get(fit.dataset_id)?.views ?? "–" },
+    {
+      title: "Status",
+      cell: (fit) => (
+        <>
+          <Status fit={fit} /> <Warnings findings={fit.findings} />
+          {isGoingOn(fit) && <CancelButton fit={fit} onFit={fits.put} />}
+        </>
+      ),
+      order: ({ status }) => status,
+    },
+    {
+      title: "Error",
+      cell: (fit) => pixels(errors.get(fit.model_id ?? "")),
+      order: (fit) => errors.get(fit.model_id ?? "") ?? NaN,
+    },
+    {
+      title: "Took",
+      cell: (fit) => (Number.isNaN(secondsOf(fit)) ? "–" : duration(secondsOf(fit))),
+      order: secondsOf,
+    },
+    { title: "Settings", cell: ({ id }) => settings.get(id), order: ({ id }) => settings.get(id) ?? "" },
+    {
+      title: "Made",
+      cell: ({ created_at: at }) => moment(at),
+      order: ({ created_at: at }) => Date.parse(at),
+    },
+  ];
   return (
     <ListScreen
+      kind="fits"
       title="Fits"
-      list={{ ...fits, trouble: fits.trouble ?? broken }}
+      list={{ ...fits, trouble: fits.trouble ?? broken ?? trouble }}
+      columns={columns}
+      statuses={STATUSES}
       beside={<NewCapture />}
       above={going.length > 0 && <Queue key={going.length} />}
-      teach={datasets?.length === 0 && <Teach />}
-      row={row}
-      isGoing={isGoingOn}
+      teach={<TeachUnlessStored />}
+      under={(fit) => isGoingOn(fit) && <Going fit={fit} />}
+      choices={(chosen) =>
+        chosen.length > 1 && (
+          <a class="button" href={linkToComparison(chosen.map(({ id }) => id))}>
+            Compare
+          </a>
+        )
+      }
     >
-      {unfitted.length > 0 && <Unfitted datasets={unfitted} />}
+      <Unfitted fits={fits.items} complete={fits.more === null && Object.values(fits.wanted).join("") === ""} />
     </ListScreen>
   );
 }
 
-function Unfitted({ datasets }: { datasets: Dataset[] }) {
+/** Returns the datasets of fits, null where one was deleted, and the reprojection errors (pixels) of their models. */
+function useBeside(fits: Fit[]) {
+  const [datasets, setDatasets] = useState(new Map<string, Dataset | null>());
+  const [errors, setErrors] = useState(new Map<string, number>());
+  const [trouble, setTrouble] = useState<string | null>(null);
+  const sets = fits.map((fit) => fit.dataset_id).filter((id) => !datasets.has(id));
+  const models = fits.flatMap((fit) => (fit.model_id && !errors.has(fit.model_id) ? [fit.model_id] : []));
+  useEffect(() => {
+    if (sets.length === 0) return;
+    listThese(listDatasets, sets).then(
+      (found) => {
+        const gone = sets.map((id): [string, Dataset | null] => [id, null]);
+        setDatasets(
+          (before) => new Map([...before, ...gone, ...found.map((each): [string, Dataset] => [each.id, each])]),
+        );
+      },
+      (error: Error) => setTrouble(error.message),
+    );
+  }, [sets.join()]);
+  useEffect(() => {
+    if (models.length === 0) return;
+    listThese(listModels, models).then(
+      (found) =>
+        setErrors(
+          (before) =>
+            new Map([...before, ...found.map(({ id, reprojection_error: e }): [string, number] => [id, e ?? NaN])]),
+        ),
+      (error: Error) => setTrouble(error.message),
+    );
+  }, [models.join()]);
+  return { datasets, errors, trouble };
+}
+
+function DatasetName({ dataset }: { dataset: Dataset | null | undefined }) {
+  if (dataset === undefined) return <>–</>;
+  if (dataset === null) return <span class="quiet">deleted: it cannot be played</span>;
+  return <a href={linkTo("datasets", dataset.id)}>{dataset.name}</a>;
+}
+
+function Going({ fit }: { fit: Fit }) {
+  return (
+    <>
+      {fit.progress && (
+        <progress
+          max={1}
+          value={fit.progress.step / Math.max(1, fit.progress.steps)}
+          aria-label={`Progress of ${fit.name}`}
+        />
+      )}
+      <span class="quiet">{progressOf(fit)}</span>
+    </>
+  );
+}
+
+/** The newest datasets that no fit is of. `complete`: all fits are known. */
+function Unfitted({ fits, complete }: { fits: Fit[] | null; complete: boolean }) {
+  const [newest, setNewest] = useState<Dataset[]>([]);
+  useEffect(() => {
+    listDatasets().then(
+      (page) => setNewest(page.items),
+      () => {}, // the list of datasets has them
+    );
+  }, []);
+  if (fits === null || !complete) return null;
+  const fitted = new Set(fits.map((fit) => fit.dataset_id));
+  const datasets = newest.filter((dataset) => !fitted.has(dataset.id));
+  if (datasets.length === 0) return null;
+  return <Waiting datasets={datasets} />;
+}
+
+function TeachUnlessStored() {
+  const [stored, setStored] = useState<boolean | null>(null);
+  useEffect(() => {
+    listDatasets({ limit: 1 }).then(
+      (page) => setStored(page.items.length > 0),
+      () => {},
+    );
+  }, []);
+  return stored === false ? <Teach /> : null;
+}
+
+function Waiting({ datasets }: { datasets: Dataset[] }) {
   return (
     <>
       <h2>Datasets that wait to be fitted</h2>
@@ -109,7 +204,7 @@ function CancelButton({ fit, onFit }: { fit: Fit; onFit: (fit: Fit) => void }) {
 function Queue() {
   const [queues, setQueues] = useState<WaitingJobs[]>([]);
   useEffect(() => {
-    getQueues().then(
+    listQueues().then(
       (page) => setQueues(page.items),
       () => {}, // the fits say enough
     );
@@ -126,40 +221,12 @@ function Queue() {
   );
 }
 
-interface RowProps {
-  fit: Fit;
-  dataset: Dataset | undefined;
-  error: number | undefined; // pixels
-}
-
-function FitRow({ fit, dataset, error }: RowProps) {
-  return (
-    <a class="panel row" href={linkTo("fits", fit.id)}>
-      <strong>{fit.name}</strong>
-      <span class="quiet">{dataset ? `${dataset.name}: ${captured(dataset)}` : count(fit.frames, "frame")}</span>
-      <span class="facts">
-        <Status fit={fit} />
-        <Warnings findings={fit.findings} />
-        {error !== undefined && <span>{pixels(error)}</span>}
-        <span class="quiet">{progressOf(fit)}</span>
-      </span>
-      {isGoingOn(fit) && fit.progress && (
-        <progress
-          max={1}
-          value={fit.progress.step / Math.max(1, fit.progress.steps)}
-          aria-label={`Progress of ${fit.name}`}
-        />
-      )}
-    </a>
-  );
-}
-
 function progressOf(fit: Fit): string {
   if (fit.status === "running" && fit.progress) {
     const left = fit.progress.seconds_left;
     return `${percent(fit.progress.step / Math.max(1, fit.progress.steps))}${left ? `, about ${duration(left)} left` : ""}`;
   }
-  return moment(fit.finished_at ?? fit.created_at);
+  return fit.status === "queued" ? "waits for a worker" : "";
 }
 
 export function captured(dataset: Dataset | DatasetPreview): string {

@@ -2,7 +2,8 @@
  * capture as cameras would and shows what comes back. */
 
 import { useEffect, useState } from "preact/hooks";
-import { getCameras, listDatasets, listModels, type Dataset, type ModelSummary } from "../api/resources.ts";
+import { listAll, listDatasets, listModels } from "../api/lists.ts";
+import { getCameras, type Dataset, type ModelSummary } from "../api/resources.ts";
 import { rateOf } from "../data/capture.ts";
 import { structures } from "../data/loader.ts";
 import { inFrame } from "../data/loading.ts";
@@ -28,11 +29,11 @@ export default function LiveScreen() {
   const [trouble, setTrouble] = useState<string | null>(null);
   useEffect(() => {
     document.title = "Live · Fewview";
-    Promise.all([listModels(), listDatasets()]).then(
+    Promise.all([listAll(listModels), listAll(listDatasets)]).then(
       ([found, sets]) => {
-        setModels(found.items);
-        setDatasets(sets.items);
-        setModel(found.items[0]?.id ?? "");
+        setModels(found);
+        setDatasets(sets);
+        setModel(found[0]?.id ?? "");
       },
       (error: Error) => setTrouble(error.message),
     );

@@ -1,7 +1,8 @@
 /** The streams that programs have open just now, each a click away from being watched. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listStreams, type LiftStream, type ModelSummary } from "../api/resources.ts";
+import { listStreams } from "../api/lists.ts";
+import type { LiftStream, ModelSummary } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { count, moment, number } from "../parts/format.ts";
 import { linkTo } from "../route.ts";

@@ -1,7 +1,8 @@
 /** The aliases of a model: shown, added, moved here from another model, deleted. */
 
 import { useEffect, useState } from "preact/hooks";
-import { deleteAlias, listAliases, setAlias, type Alias, type Model } from "../api/resources.ts";
+import { listAliases } from "../api/lists.ts";
+import { deleteAlias, setAlias, type Alias, type Model } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { moment } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";

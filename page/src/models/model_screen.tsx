@@ -1,7 +1,9 @@
 /** One model: its figures, where it comes from, what programs call it, and how to take it away. */
 
 import { useEffect, useState } from "preact/hooks";
-import { getCameras, getFit, getModel, listFits, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
+import { listFits } from "../api/lists.ts";
+import { getCameras, getFit, getModel, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
+import { Tags } from "../lists/tags.tsx";
 import { Curve } from "../fits/curve.tsx";
 import { Waiting } from "../parts/alert.tsx";
 import { FigureList } from "../parts/figure_list.tsx";
@@ -32,6 +34,7 @@ export function ModelScreen({ id }: { id: string }) {
         <NamedHeading kind="models" id={model.id} name={model.name} onName={(name) => setModel({ ...model, name })} />
         <span class="quiet id">{model.id}</span>
       </header>
+      <Tags key={model.id} kind="models" id={model.id} tags={model.tags} />
       <div class="facts-grid halves">
         <section class="panel">
           <h2>Figures</h2>
@@ -61,13 +64,7 @@ export function ModelScreen({ id }: { id: string }) {
       <section class="panel">
         <h2>Take it away</h2>
         <Downloads groups={downloadsOf(model.id, cameras)} />
-        <DeleteButton
-          kind="models"
-          id={model.id}
-          what="this model"
-          kept="Its fit keeps the structures, and loses the cameras."
-          onDeleted={() => goTo("models")}
-        />
+        <DeleteButton kind="models" id={model.id} what="this model" onDeleted={() => goTo("models")} />
       </section>
     </main>
   );
@@ -92,8 +89,8 @@ function Lineage({ model }: { model: Model }) {
   const [children, setChildren] = useState<Fit[]>([]);
   useEffect(() => {
     if (model.fit_id) getFit(model.fit_id).then(setFit, () => {}); // it was deleted
-    listFits().then(
-      (page) => setChildren(page.items.filter((each) => each.from_model === model.id)),
+    listFits({ from_model: model.id }).then(
+      (page) => setChildren(page.items),
       () => {},
     );
   }, [model.id]);

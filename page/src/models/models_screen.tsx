@@ -1,11 +1,30 @@
 /** All models, the newest first, with their aliases and figures. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listAliases, listModels, type Alias, type ModelSummary } from "../api/resources.ts";
-import { count, moment, pixels } from "../parts/format.ts";
-import { ListScreen, NewCapture, Warnings } from "../parts/list_screen.tsx";
-import { useList } from "../parts/use_list.ts";
+import { listAliases, listModels } from "../api/lists.ts";
+import type { Alias, ModelSummary } from "../api/resources.ts";
+import { ListScreen, NewCapture, Warnings } from "../lists/list_screen.tsx";
+import type { Column } from "../lists/table.tsx";
+import { useList } from "../lists/use_list.ts";
+import { moment, pixels } from "../parts/format.ts";
 import { linkTo } from "../route.ts";
+
+const COLUMNS: Column<ModelSummary>[] = [
+  { title: "Frames", cell: ({ frames }) => frames?.toLocaleString("en") ?? "imported", order: (m) => m.frames ?? NaN },
+  { title: "Views", cell: ({ views }) => views ?? "any", order: ({ views }) => views ?? NaN },
+  { title: "Keypoints", cell: ({ keypoints }) => keypoints, order: ({ keypoints }) => keypoints },
+  {
+    title: "Error",
+    cell: ({ reprojection_error: error }) => pixels(error),
+    order: ({ reprojection_error: error }) => error ?? NaN,
+  },
+  {
+    title: "Noticed",
+    cell: ({ findings }) => <Warnings findings={findings} />,
+    order: ({ findings }) => findings.length,
+  },
+  { title: "Made", cell: ({ created_at: at }) => moment(at), order: ({ created_at: at }) => Date.parse(at) },
+];
 
 export function ModelsScreen() {
   const list = useList(listModels);
@@ -18,12 +37,26 @@ export function ModelsScreen() {
   }, []);
   return (
     <ListScreen
+      kind="models"
       title="Models"
       list={list}
+      columns={COLUMNS}
       beside={<span class="quiet">What fits made: each lifts new frames of its keypoints in milliseconds.</span>}
       teach={<Teach />}
-      row={(model) => <ModelRow model={model} aliases={aliases.filter((alias) => alias.model_id === model.id)} />}
+      under={(model) => <AliasList aliases={aliases.filter((alias) => alias.model_id === model.id)} />}
     />
+  );
+}
+
+function AliasList({ aliases }: { aliases: Alias[] }) {
+  return (
+    <>
+      {aliases.map(({ alias }) => (
+        <span class="chip" key={alias}>
+          {alias}
+        </span>
+      ))}
+    </>
   );
 }
 
@@ -37,28 +70,5 @@ function Teach() {
       </p>
       <NewCapture>Start with a capture</NewCapture>
     </section>
-  );
-}
-
-function ModelRow({ model, aliases }: { model: ModelSummary; aliases: Alias[] }) {
-  const of = [model.views ? count(model.views, "view") : null, count(model.keypoints, "keypoint")].filter(Boolean);
-  return (
-    <a class="panel row" href={linkTo("models", model.id)}>
-      <strong>{model.name}</strong>
-      <span class="quiet">
-        {of.join(", ")}
-        {model.frames ? `, fitted to ${count(model.frames, "frame")}` : ", imported"}
-      </span>
-      <span class="facts">
-        {aliases.map(({ alias }) => (
-          <span class="chip" key={alias}>
-            {alias}
-          </span>
-        ))}
-        <Warnings findings={model.findings} />
-        {model.reprojection_error ? <span>{pixels(model.reprojection_error)}</span> : null}
-        <span class="quiet">{moment(model.created_at)}</span>
-      </span>
-    </a>
   );
 }

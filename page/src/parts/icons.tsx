@@ -17,6 +17,8 @@ const PATHS = {
   check: "M5 12l5 5 9-10",
   pen: "M4 20l1-4L16 5l3 3L8 19zM14 7l3 3",
   bin: "M5 7h14M10 7V4h4v3M7 7l1 13h8l1-13",
+  up: "M6 14l6-6 6 6",
+  down: "M6 10l6 6 6-6",
   file: "M6 3h8l5 5v13H6zM14 3v5h5",
 } as const;
 

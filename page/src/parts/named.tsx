@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import { remove, rename, type Kind } from "../api/resources.ts";
+import { useConsequences } from "../lists/consequences.ts";
 import { Alert } from "./alert.tsx";
 import { Icon } from "./icons.tsx";
 
@@ -61,12 +62,11 @@ interface Deleting {
   kind: Kind;
   id: string;
   what: string; // this dataset
-  kept: string; // what stays
   onDeleted: () => void;
 }
 
 /** Deletes at the second click, beside words of what that means. */
-export function DeleteButton({ kind, id, what, kept, onDeleted }: Deleting) {
+export function DeleteButton({ kind, id, what, onDeleted }: Deleting) {
   const [asking, setAsking] = useState(false);
   const [trouble, setTrouble] = useState<string | null>(null);
   const go = async () => {
@@ -82,9 +82,7 @@ export function DeleteButton({ kind, id, what, kept, onDeleted }: Deleting) {
     <div class="deleting">
       {asking ? (
         <>
-          <span role="alert">
-            Delete {what} for good? {kept}
-          </span>
+          <Meaning kind={kind} id={id} what={what} />
           <span class="buttons">
             <button class="danger" onClick={() => void go()}>
               Yes, delete it
@@ -101,5 +99,14 @@ export function DeleteButton({ kind, id, what, kept, onDeleted }: Deleting) {
       )}
       <Alert>{trouble}</Alert>
     </div>
+  );
+}
+
+function Meaning({ kind, id, what }: Pick<Deleting, "kind" | "id" | "what">) {
+  const consequences = useConsequences(kind, [id]);
+  return (
+    <span role="alert">
+      Delete {what} for good? {consequences}
+    </span>
   );
 }

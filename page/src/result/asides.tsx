@@ -3,6 +3,7 @@
 import { useState } from "preact/hooks";
 import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
+import { KeyChoice } from "../parts/key_choice.tsx";
 import { keepInAddress } from "../route.ts";
 import { SHORTCUTS } from "./keys.ts";
 import type { Stage } from "./scene/scene.ts";
@@ -58,6 +59,7 @@ export function Shortcuts() {
   return (
     <details>
       <summary>Keys</summary>
+      <KeyChoice />
       <dl class="keys">
         {SHORTCUTS.map(([key, what]) => (
           <div key={key}>

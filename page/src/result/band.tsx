@@ -45,6 +45,7 @@ export function Band() {
       <input
         ref={scrubber}
         type="range"
+        data-frames
         min={0}
         max={take.frames - 1}
         step={1}

@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import { saveBlob } from "../api/download.ts";
+import type { Fit } from "../api/resources.ts";
 import { downloadsOf } from "../models/downloads.ts";
 import { Downloads, type Entry } from "../parts/downloads.tsx";
 import { Icon } from "../parts/icons.tsx";
@@ -22,11 +23,6 @@ export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take } = useShow();
   const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
-  const structures = (format: string): Entry => [
-    format,
-    `fits/${fit.id}/reconstruction?format=${format}${room}`,
-    `${fit.id}.${format}`,
-  ];
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
     const query = `format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`;
     return [label, `fits/${fit.id}/animation?${query}`, `${fit.id}${suffix}`];
@@ -35,7 +31,7 @@ export function Exports({ stage }: { stage: Stage | null }) {
     <>
       <Downloads
         groups={[
-          ["Structures and cameras of every frame", ["npz", "safetensors", "json"].map(structures)],
+          ["Structures and cameras of every frame", structuresOf(fit, room)],
           ["Animation, for other tools", animations, <UnitChoice key="unit" unit={unit} setUnit={setUnit} />],
           ...downloadsOf(model.id, cameras),
           ["Capture, as it was uploaded", [["npz", `datasets/${fit.dataset_id}/capture`, `${fit.dataset_id}.npz`]]],
@@ -45,6 +41,15 @@ export function Exports({ stage }: { stage: Stage | null }) {
       {stage !== null && <Pictures stage={stage} />}
     </>
   );
+}
+
+/** Returns what can be saved of a fit's structures and cameras, in a frame of reference. */
+export function structuresOf(fit: Fit, frame = ""): Entry[] {
+  return ["npz", "safetensors", "json"].map((format) => [
+    format,
+    `fits/${fit.id}/reconstruction?format=${format}${frame}`,
+    `${fit.id}.${format}`,
+  ]);
 }
 
 /** The unit of the lengths that the fit was given, which nobody states but who gave them. */

@@ -1,5 +1,6 @@
 /** What keys do on the result screen. */
 
+import { isTaken } from "../parts/key_choice.tsx";
 import type { Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 
@@ -22,13 +23,10 @@ interface Ways {
   lookThrough(view: number | null): void;
 }
 
-/** Listens to keys until what it returns is called. Fields keep those that are typed into them. */
+/** Listens to keys until what it returns is called. Controls keep those that are theirs. */
 export function listenToKeys(ways: Ways): () => void {
   const listen = (event: KeyboardEvent) => {
-    const typing =
-      event.target instanceof HTMLElement && event.target.closest("input:not([type=range]),select,textarea");
-    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === " " && event.target instanceof HTMLButtonElement) return; // presses the button
+    if (isTaken(event)) return;
     if (act(event, ways)) event.preventDefault();
   };
   window.addEventListener("keydown", listen);

@@ -1,7 +1,8 @@
 /** What is laid over the structure, pale: the ground truth, or what another fit made of the dataset. */
 
 import { useEffect, useState } from "preact/hooks";
-import { getFit, getModel, listFitsOf, type Fit, type Model } from "../api/resources.ts";
+import { listFits } from "../api/lists.ts";
+import { getFit, getModel, type Fit, type Model } from "../api/resources.ts";
 import { loadPoints } from "../data/loading.ts";
 import { aligned } from "../science/aligning.ts";
 import { useShow } from "./show.ts";
@@ -22,7 +23,7 @@ export function OverlayChoice() {
   const [chosen, setChosen] = useState(NONE);
   const [trouble, setTrouble] = useState(false);
   useEffect(() => {
-    listFitsOf(fit.dataset_id).then(
+    listFits({ dataset_id: fit.dataset_id, status: "succeeded" }).then(
       (page) => setOthers(page.items.filter((other) => other.id !== fit.id && other.model_id)),
       () => setOthers([]),
     );

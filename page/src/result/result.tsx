@@ -3,15 +3,18 @@
 import type { Ref } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
-import { loadResult, type Result } from "../data/loading.ts";
+import { loadResult, Unplayable, type Result } from "../data/loading.ts";
+import { Downloads } from "../parts/downloads.tsx";
+import { FindingList } from "../parts/finding_list.tsx";
 import { frameInAddress } from "../route.ts";
+import { structuresOf } from "./exports.tsx";
 import { prepareRenderer } from "./scene/renderer.ts";
 import { Workspace } from "./workspace.tsx";
 
 export default function ResultScreen({ fit }: { fit: Fit }) {
   const [result, setResult] = useState<Result | null>(null);
   const placeholder = useRef<HTMLElement>(null);
-  const [trouble, setTrouble] = useState<string | null>(null);
+  const [trouble, setTrouble] = useState<Error | null>(null);
   useEffect(() => {
     let current = true;
     setResult(null);
@@ -19,23 +22,36 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     const prepare = () => placeholder.current !== null && prepareRenderer(placeholder.current);
     loadResult(fit, frameInAddress(), () => setTimeout(prepare)).then(
       (loaded) => current && setResult(loaded),
-      (error: Error) => current && setTrouble(error.message),
+      (error: Error) => current && setTrouble(error),
     );
     return () => {
       current = false;
     };
   }, [fit.id]);
+  if (trouble instanceof Unplayable) return <Remains fit={fit} why={trouble.message} />;
   if (trouble !== null) {
     return (
       <div class="empty panel" role="alert">
         <h2>The result cannot be shown</h2>
-        <p>{trouble}</p>
+        <p>{trouble.message}</p>
         <button onClick={() => location.reload()}>Try again</button>
       </div>
     );
   }
   if (result === null) return <Placeholder stage={placeholder} />;
   return <Workspace fit={fit} result={result} />;
+}
+
+/** What is left of a result that cannot be played, to be saved. */
+function Remains({ fit, why }: { fit: Fit; why: string }) {
+  return (
+    <section class="panel" aria-label="What is left">
+      <h2>This result can no longer be played</h2>
+      <p>{why} What is left of it:</p>
+      <Downloads groups={[["Structures and cameras of every frame", structuresOf(fit)]]} />
+      <FindingList findings={fit.findings} />
+    </section>
+  );
 }
 
 /** Takes the space that the result will have, so that nothing jumps. */
