@@ -20,7 +20,17 @@ def opened(watched: Watched, stored: Stored) -> Page:
     return page
 
 
-def named_places(page: Page, canvas: Locator) -> dict[str, tuple[float, float]]:
+def settled_places(page: Page, canvas: Locator) -> dict[str, tuple[float, float]]:
+    """Return the places of names once the canvas is drawn, and they stay where they are."""
+    before: dict[str, tuple[float, float]] = {}
+    places = named_places(canvas)
+    while not places or places != before:
+        page.wait_for_timeout(200)
+        before, places = places, named_places(canvas)
+    return places
+
+
+def named_places(canvas: Locator) -> dict[str, tuple[float, float]]:
     """Return the places of a canvas where the pointer meets a keypoint's name, by that name.
 
     The pointer is at every third pixel, faster than a hand moves it; the middle of those where a
@@ -58,7 +68,7 @@ def test_keypoints_are_named_and_selected_where_they_are_drawn(
     chips = page.locator(".keypoint-choice .chip")
     caption = page.locator(".timeline")
     for canvas in (page.locator(".stage canvas"), page.locator("figure.view canvas").first):
-        places = named_places(page, canvas)
+        places = settled_places(page, canvas)
         assert len(places) > len(NAMES) / 2
         assert set(places) <= set(NAMES)
         first, second, third, fourth = list(places)[:4]

@@ -30,8 +30,8 @@ const SIDES = [-1, 0, 1];
 
 export function createViewDrawing(take: Take, view: number): ViewDrawing {
   const { keypoints, views, edges } = take;
-  const projected = new Float32Array(2 * keypoints); // pixels of the canvas, as the next
-  const detected = new Float32Array(2 * keypoints);
+  const projected = new Float32Array(2 * keypoints).fill(NaN); // pixels of the canvas, as the next
+  const detected = new Float32Array(2 * keypoints).fill(NaN);
   const kinds = new Int8Array(keypoints);
 
   return {

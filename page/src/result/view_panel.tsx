@@ -1,6 +1,6 @@
 /** One view: its keypoints, the structure projected over them and, if one likes, the film below. */
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { nearest } from "../data/take.ts";
 import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
@@ -15,15 +15,13 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
   const { take, player, loop, theme, selected, select, through, lookThrough, posed, done } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
-  const places = useRef((): ArrayLike<number> => []); // of the keypoints on the canvas
+  const drawing = useMemo(() => createViewDrawing(take, view), [take, view]);
+  const partOf = useMemo(() => partsOf(take, view, crop), [take, view, crop, done]);
   const [film, setFilm] = useState<Film | null>(null);
 
   useEffect(() => {
     const context = canvas.current?.getContext("2d") ?? null;
     if (context === null) return undefined;
-    const drawing = createViewDrawing(take, view);
-    const partOf = partsOf(take, view, crop);
-    places.current = drawing.places;
     return loop.add(() => {
       const picture = film?.at(player.frame, player.rate) ?? null;
       const frame = nearest(take, player.frame);
@@ -31,7 +29,7 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [take, view, crop, theme, selected, loop, film, done]);
+  }, [drawing, partOf, theme, selected, loop, film]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
@@ -40,8 +38,8 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
-    return pickOn(canvas.current, { names: take.names, places: () => places.current(), onPick: select });
-  }, [take, select]);
+    return pickOn(canvas.current, { names: take.names, places: drawing.places, onPick: select });
+  }, [take, drawing, select]);
 
   useEffect(() => () => film?.close(), [film]);
 

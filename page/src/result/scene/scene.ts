@@ -83,9 +83,9 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
       spoil();
     },
     keypointPlaces() {
+      if (drawn < 0) return new Float32Array(); // nothing is there yet
       const size: [number, number] = [canvas.width / pixelRatio(), canvas.height / pixelRatio()];
-      const frame = Math.max(0, drawn);
-      return placesOf(take.points, 3 * take.keypoints * frame, take.keypoints, eyes.seeing(frame), size);
+      return placesOf(take.points, 3 * take.keypoints * drawn, take.keypoints, eyes.seeing(drawn), size);
     },
     showTrails(shown) {
       trails.lines.visible = shown;
