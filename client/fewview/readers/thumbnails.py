@@ -58,5 +58,5 @@ def _people_in(view: View, picked: Float32, upright: Float32) -> tuple[SeenPerso
         shown = view.keypoints[rows[best], places[best]] * upright
         some = slice(None, None, -(-len(rows) // COMPARED))
         same = view.keypoints[rows[some], places[some]] == picked[rows[some]]
-        people.append(SeenPerson(number, name, len(rows), shown, bool(same.any())))
+        people.append(SeenPerson(number, name, len(rows), shown, bool(same.all(-1).any())))
     return tuple(people)

@@ -6,6 +6,7 @@ import type { components } from "./openapi.d.ts";
 type Schemas = components["schemas"];
 export type Dataset = Schemas["Dataset"];
 export type DatasetPreview = Schemas["DatasetPreview"];
+export type CalibrationPreview = Schemas["CalibrationPreview"];
 export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
 export type ModelSummary = Schemas["ModelSummary"];
@@ -25,6 +26,13 @@ export const getCameras = (id: string) => askJson<ModelCameras>(`models/${encode
 export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;
 export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
+/** Returns the cameras of a calibration file for the views of a dataset. */
+export const previewCalibration = (dataset: string, files: File[]) => {
+  const form = new FormData();
+  for (const file of files) form.append("files", file, file.name);
+  const path = `previews/calibrations?dataset_id=${encodeURIComponent(dataset)}`;
+  return askJson<CalibrationPreview>(path, { method: "POST", body: form });
+};
 export const createFit = (body: object) => sendJson<Fit>("fits", body);
 export const cancelFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}/cancel`, { method: "POST" });
 export const setAlias = (alias: string, model: string) =>

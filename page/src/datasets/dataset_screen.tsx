@@ -9,6 +9,7 @@ import { Tags } from "../lists/tags.tsx";
 import { Alert, Waiting } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { goTo, linkTo } from "../route.ts";
+import { CalibrationChoice, NOTHING_GIVEN } from "./calibration.tsx";
 import { ConfigForm } from "./config_form.tsx";
 import { fullestFrame, type Drawn } from "./preview.ts";
 import { Understood } from "./understood.tsx";
@@ -17,6 +18,7 @@ export function DatasetScreen({ id }: { id: string }) {
   const [dataset, setDataset] = useState<Dataset | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const [config, setConfig] = useState<Record<string, unknown>>({});
+  const [given, setGiven] = useState(NOTHING_GIVEN);
   const [busy, setBusy] = useState(false);
   const [frame, setFrame] = useState<Drawn | null>(null);
   const [fits, setFits] = useState<Fit[]>([]);
@@ -57,6 +59,7 @@ export function DatasetScreen({ id }: { id: string }) {
       <section class="panel">
         <h2>Fit it</h2>
         <p>The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.</p>
+        <CalibrationChoice dataset={dataset} onChange={setGiven} />
         <ConfigForm dataset={dataset} onChange={setConfig} />
         <Alert>{trouble}</Alert>
         <div class="buttons">
@@ -65,7 +68,13 @@ export function DatasetScreen({ id }: { id: string }) {
             disabled={busy}
             onClick={() =>
               void attempt(async () => {
-                const fit = await createFit({ dataset_id: dataset.id, name: dataset.name, config });
+                const all = { ...config, ...given.config };
+                const fit = await createFit({
+                  dataset_id: dataset.id,
+                  name: dataset.name,
+                  config: all,
+                  ...given.fields,
+                });
                 goTo("fits", fit.id);
               })
             }

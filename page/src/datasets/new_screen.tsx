@@ -6,16 +6,18 @@ import { Alert } from "../parts/alert.tsx";
 import { bytes, count, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
 import { goTo } from "../route.ts";
-import { filesOf, sorted } from "./dropping.ts";
+import { chosen, filesOf, groupsOf, joined, type Placed } from "./dropping.ts";
+import { People } from "./people.tsx";
 import { Understood } from "./understood.tsx";
 import { recall } from "./unfinished.ts";
-import { upload, type Description } from "./upload.ts";
+import { arraysIn, upload, type Description } from "./upload.ts";
 import { useLook, type Look } from "./use_look.ts";
+import { Views } from "./views.tsx";
 
-const NOTHING: Description = { name: "", fps: "", width: "", height: "" };
+const NOTHING: Description = { name: "", fps: "", width: "", height: "", person: "", views: null };
 
 export function NewScreen() {
-  const [files, setFiles] = useState<File[]>([]);
+  const [files, setFiles] = useState<Placed[]>([]);
   const [description, setDescription] = useState(NOTHING);
   const [sent, setSent] = useState<number | null>(null); // share of what is being stored
   const [broken, setBroken] = useState<string | null>(null); // why nothing is sent just now
@@ -27,11 +29,13 @@ export function NewScreen() {
     return () => stop.current?.abort();
   }, []);
 
-  const unfinished = files.length === 1 && files.every((file) => recall(file) !== null);
-  const take = (found: File[]) => {
+  const arrays = arraysIn(files);
+  const unfinished = arrays !== null && recall(arrays) !== null;
+  const setAll = (next: Placed[]) => {
     setTrouble(null);
-    setFiles(sorted([...files.filter((file) => !found.some((other) => other.name === file.name)), ...found]));
-    if (description.name === "" && found.length > 0) setDescription({ ...description, name: nameFor(found) });
+    setFiles(next);
+    const name = description.name === "" && next.length > 0 ? nameFor(next) : description.name;
+    setDescription({ ...description, name, person: "", views: null });
   };
   const store = async (event: Event) => {
     event.preventDefault();
@@ -54,12 +58,12 @@ export function NewScreen() {
         <h1>New capture</h1>
       </header>
       <form onSubmit={(event) => void store(event)}>
-        <DropZone onFiles={take} />
+        <DropZone onFiles={(found) => setAll(joined(files, found))} />
         {files.length > 0 && (
-          <FileList files={files} onRemove={(gone) => setFiles(files.filter((file) => file !== gone))} />
+          <GroupList files={files} onRemove={(gone) => setAll(files.filter((file) => !gone.includes(file)))} />
         )}
         <Fields description={description} setDescription={setDescription} disabled={sent !== null} />
-        <Looked look={look} />
+        <Looked look={look} editable={arrays === null} description={description} setDescription={setDescription} />
         <Alert>{trouble}</Alert>
         {sent === null ? (
           <button class="primary" disabled={look.state !== "seen"}>
@@ -73,18 +77,50 @@ export function NewScreen() {
   );
 }
 
-function Looked({ look }: { look: Look }) {
+interface LookedProps {
+  look: Look;
+  editable: boolean; // whether views and people can be chosen
+  description: Description;
+  setDescription: (description: Description) => void;
+}
+
+function Looked({ look, editable, description, setDescription }: LookedProps) {
   if (look.state === "none") return null;
   if (look.state === "refused") return <Alert>{look.reason}</Alert>;
   if (look.state === "sending") return <Sending share={look.share} then="Reading the files …" />;
   const { preview } = look;
+  const names = preview.view_names ?? [];
+  const views = description.views ?? names.map((name) => ({ source: name, name }));
+  // Names are sent between commas.
+  const nameable = editable && names.length > 0 && views.every(({ source }) => !source.includes(","));
   return (
-    <section class="panel" aria-label="What was understood">
-      <h2>
-        What was understood <span class="quiet">{captured(preview)}. Nothing is stored yet.</span>
-      </h2>
-      <Understood facts={preview} frame={look.drawn} />
-    </section>
+    <>
+      <section class="panel" aria-label="What was understood">
+        <h2>
+          What was understood <span class="quiet">{captured(preview)}. Nothing is stored yet.</span>
+        </h2>
+        <Understood facts={preview} frame={look.drawn} />
+        {nameable && (
+          <details>
+            <summary>Rename, order or leave out views</summary>
+            <Views
+              views={views}
+              onChange={(next) => {
+                const kept = next.map(({ source }) => source).join() === views.map(({ source }) => source).join();
+                setDescription({ ...description, views: next, person: kept ? description.person : "" });
+              }}
+            />
+          </details>
+        )}
+      </section>
+      {editable && preview.people && (
+        <People
+          people={preview.people}
+          names={names}
+          onChoose={(person) => setDescription({ ...description, person })}
+        />
+      )}
+    </>
   );
 }
 
@@ -159,10 +195,10 @@ function Fields({ description, setDescription, disabled }: FieldsProps) {
   );
 }
 
-function DropZone({ onFiles }: { onFiles: (files: File[]) => void }) {
+function DropZone({ onFiles }: { onFiles: (files: Placed[]) => void }) {
   const [over, setOver] = useState(false);
   return (
-    <label
+    <div
       class={`drop${over ? " over" : ""}`}
       onDragOver={(event) => {
         event.preventDefault();
@@ -175,39 +211,68 @@ function DropZone({ onFiles }: { onFiles: (files: File[]) => void }) {
         if (event.dataTransfer) void filesOf(event.dataTransfer).then(onFiles);
       }}
     >
-      <input type="file" multiple onChange={(event) => onFiles([...(event.currentTarget.files ?? [])])} />
       <Icon name="file" />
-      <strong>Drop a file for each camera here, or choose them</strong>
+      <strong>Drop a file or folder for each camera here, or the folder that they are in</strong>
+      <div class="buttons">
+        <label class="button">
+          Choose files
+          <input type="file" multiple onChange={(event) => onFiles(chosen(event.currentTarget.files))} />
+        </label>
+        <label class="button">
+          Choose a folder
+          <input
+            type="file"
+            multiple
+            {...{ webkitdirectory: true }}
+            onChange={(event) => onFiles(chosen(event.currentTarget.files))}
+          />
+        </label>
+      </div>
       <span class="quiet">
-        What DeepLabCut, SLEAP, OpenPose, COCO, MMPose and others write: CSV, H5, JSON, or a zip of a folder of JSON. Or
-        one .npz or .safetensors with an array <code>keypoints</code> (frames, views, keypoints, 2).
+        What DeepLabCut, SLEAP, OpenPose, COCO, MMPose, Anipose and others write: CSV, H5, folders of JSON, with their
+        calibration if there is one. Or one .npz or .safetensors with an array <code>keypoints</code> (frames, views,
+        keypoints, 2).
       </span>
-    </label>
+    </div>
   );
 }
 
-function FileList({ files, onRemove }: { files: File[]; onRemove: (file: File) => void }) {
+function GroupList({ files, onRemove }: { files: Placed[]; onRemove: (files: Placed[]) => void }) {
+  const groups = groupsOf(files);
+  const folders = groups.filter(({ name }) => name.endsWith("/")).length;
   return (
     <ul class="files" aria-label="Files to send">
-      {files.map((file) => (
-        <li key={file.name}>
-          <span>{file.name}</span>
-          <span class="quiet">{bytes(file.size)}</span>
-          <button type="button" class="icons" aria-label={`Leave out ${file.name}`} onClick={() => onRemove(file)}>
+      {groups.map((group) => (
+        <li key={group.name}>
+          <span>{group.name}</span>
+          <span class="quiet">
+            {group.name.endsWith("/") && `${count(group.files.length, "file")}, `}
+            {bytes(group.files.reduce((sum, { file }) => sum + file.size, 0))}
+          </span>
+          <button
+            type="button"
+            class="icons"
+            aria-label={`Leave out ${group.name}`}
+            onClick={() => onRemove(group.files)}
+          >
             <Icon name="close" />
           </button>
         </li>
       ))}
-      <li class="quiet">{count(files.length, "file")}, a view each, in this order</li>
+      <li class="quiet">
+        {folders > 0
+          ? `${count(files.length, "file")} in ${count(folders, "folder")}`
+          : `${count(files.length, "file")}, a view each, in this order`}
+      </li>
     </ul>
   );
 }
 
-/** Returns a name for a capture: what the names of its files have in common. */
-function nameFor(files: File[]): string {
-  const names = files.map((file) => file.name.replace(/\.[^.]*$/, ""));
-  const [first = ""] = names;
-  let shared = first;
+/** Returns a name for a capture: that of its one folder, or what its files or folders have in common. */
+function nameFor(files: Placed[]): string {
+  const tops = new Set(files.map(({ path }) => path.split("/", 1)[0] ?? path));
+  const names = [...tops].map((name) => name.replace(/\.[^.]*$/, ""));
+  let shared = names[0] ?? "";
   for (const name of names) while (!name.startsWith(shared)) shared = shared.slice(0, -1);
-  return shared.replace(/[\s_\-.]*(cam(era)?|view)?[\s_\-.]*$/i, "") || first;
+  return shared.replace(/[\s_\-.]*(cam(era)?|view)?[\s_\-.]*$/i, "") || names[0] || "";
 }

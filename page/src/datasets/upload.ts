@@ -4,14 +4,19 @@
 import { addressOf, keyHeader, refusalOf, Refusal } from "../api/http.ts";
 import { getDataset, type Dataset, type DatasetPreview } from "../api/resources.ts";
 import { unique } from "../parts/unique.ts";
+import { groupsOf, type Placed } from "./dropping.ts";
+import { arePacked, packed } from "./folders.ts";
 import { partsOf, type Parts } from "./parts.ts";
 import { forget, recall, remember } from "./unfinished.ts";
+import type { WantedView } from "./views.tsx";
 
 export interface Description {
   name: string;
   fps: string; // as it was typed; empty if nobody knows
   width: string;
   height: string;
+  person: string; // one for each view, with commas; empty: found out
+  views: WantedView[] | null; // null: all that there are
 }
 
 export interface Watching {
@@ -26,19 +31,25 @@ const AGAIN_MS = 1000; // after the connection broke
 const STOPPED = "The upload was stopped.";
 
 /** Returns the dataset that files became; throws `Refusal` with the service's words. */
-export async function upload(files: File[], description: Description, watching: Watching): Promise<Dataset> {
+export async function upload(files: Placed[], description: Description, watching: Watching): Promise<Dataset> {
   const file = arraysIn(files);
   const parts = file && (await partsOf(file));
   if (file !== null && parts !== null) return uploadInParts(file, parts, description, watching);
   const key = unique();
-  return persisting(watching, () => send<Dataset>("datasets", formOf(files, description), watching, key));
+  const form = await formOf(files, description);
+  if (description.views !== null && arraysIn(files) === null) {
+    form.append("view_names", JSON.stringify(description.views.map(({ name, source }) => name || source)));
+  }
+  return persisting(watching, () => send<Dataset>("datasets", form, watching, key));
 }
 
 /** Returns what is understood of files, of which nothing is stored: of a long file its first part. */
-export async function lookAt(files: File[], description: Description, watching: Watching): Promise<DatasetPreview> {
+export async function lookAt(files: Placed[], description: Description, watching: Watching): Promise<DatasetPreview> {
   const file = arraysIn(files);
   const parts = file && (await partsOf(file));
-  if (file === null || parts === null) return send<DatasetPreview>("previews", formOf(files, description), watching);
+  if (file === null || parts === null) {
+    return send<DatasetPreview>("previews", await formOf(files, description), watching);
+  }
   const seen = await send<DatasetPreview>("previews", firstOf(parts, file, description), watching);
   const notes = [...seen.notes, `looked at the first ${parts.size} of ${parts.frames} frames`];
   return { ...seen, frames: parts.frames, notes };
@@ -117,20 +128,25 @@ function send<T>(path: string, body: FormData | Blob, { onProgress, signal }: Wa
 }
 
 /** Returns the file that holds arrays of all views, if there is nothing else. */
-function arraysIn(files: File[]): File | null {
-  const [file, ...more] = files;
-  return file !== undefined && more.length === 0 && ARRAYS.test(file.name) ? file : null;
+export function arraysIn(files: Placed[]): File | null {
+  const [placed, ...more] = files;
+  const arrays = placed !== undefined && more.length === 0 && ARRAYS.test(placed.path) && !arePacked(files);
+  return arrays ? placed.file : null;
 }
 
-function formOf(files: File[], { name, fps, width, height }: Description): FormData {
+async function formOf(files: Placed[], description: Description): Promise<FormData> {
+  const { name, fps, width, height, person, views } = description;
   const form = new FormData();
   const arrays = arraysIn(files) !== null;
-  for (const file of files) form.append(arrays ? "file" : "files", file, file.name);
+  if (arePacked(files)) form.append("folders", await packed(files), "folders.zip");
+  else for (const { path, file } of files) form.append(arrays ? "file" : "files", file, path);
+  if (person !== "" && !arrays) form.append("person", person);
+  if (views !== null && !arrays) form.append("cameras", views.map(({ source }) => source).join(","));
   if (name !== "") form.append("name", name);
   if (fps !== "") form.append("fps", fps);
   if (width !== "" && height !== "" && !arrays) {
     const size = [Number(width), Number(height)];
-    form.append("image_sizes", JSON.stringify(files.map(() => size)));
+    form.append("image_sizes", JSON.stringify((views ?? groupsOf(files)).map(() => size)));
   }
   return form;
 }

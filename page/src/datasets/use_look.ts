@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { DatasetPreview } from "../api/resources.ts";
 import { sidesOf } from "../science/sides.ts";
 import type { Drawn } from "./preview.ts";
+import type { Placed } from "./dropping.ts";
 import { lookAt, type Description } from "./upload.ts";
 
 export type Look =
@@ -14,9 +15,10 @@ export type Look =
 
 const PAUSE_MS = 500; // after the last key that was typed
 
-export function useLook(files: File[], description: Description): Look {
+export function useLook(files: Placed[], description: Description): Look {
   const [look, setLook] = useState<Look>({ state: "none" });
-  const { fps, width, height } = description;
+  const { fps, width, height, person, views } = description;
+  const cameras = views?.map(({ source }) => source).join(",") ?? "";
   useEffect(() => {
     if (files.length === 0) {
       setLook({ state: "none" });
@@ -39,7 +41,7 @@ export function useLook(files: File[], description: Description): Look {
       clearTimeout(timer);
       stop.abort();
     };
-  }, [files, fps, width, height]);
+  }, [files, fps, width, height, person, cameras]);
   return look;
 }
 
