@@ -10,6 +10,7 @@ from models.settings.keypoints import MAX_KEYPOINTS, MAX_VIEWS
 from worker.cores import usable_cores
 from worker.settings import WorkerSettings, listed
 
+_ORIGIN = re.compile(r"\A(?:\*|[a-z][a-z0-9+.-]*://[^/?#\s]+)")
 MEBIBYTE = 1024 * 1024
 WILDCARDS = ("", "0.0.0.0", "::")  # noqa: S104 (to listen on all addresses)
 
@@ -69,6 +70,12 @@ class Settings(WorkerSettings):
         64 * MEBIBYTE,
         ge=1024,
         description="Largest JSON body. Larger captures travel as safetensors or npz.",
+    )
+    max_unpacked_bytes: int = Field(
+        1024 * MEBIBYTE,
+        ge=1024,
+        description="What detectors' files of a request may unpack to, together. They may unpack "
+        "to 64 times their size, or 64 MiB, and to no more than the key may store.",
     )
     max_pending_bytes: int | None = Field(
         None,
@@ -148,7 +155,7 @@ class Settings(WorkerSettings):
     @classmethod
     def _are_origins(cls, origins: str) -> str:
         for origin in listed(origins):
-            if not re.fullmatch(r"\*|[a-z][a-z0-9+.-]*://[^/?#\s]+", origin):
+            if not _ORIGIN.fullmatch(origin):
                 raise ValueError(
                     "expected origins such as https://lab.example or http://localhost:3000, "
                     f"without a path and separated by commas, or *; got {origin!r}"

@@ -8,6 +8,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from sqlalchemy import URL, make_url
 from sqlalchemy.exc import ArgumentError
 
+_PASSWORD = re.compile(r"^([^:]+://)[^/]*@")
+
 
 class StoreSettings(BaseSettings):
     """Settings of the store, read from ``FEWVIEW_*`` environment variables; frozen once read."""
@@ -73,7 +75,7 @@ class StoreSettings(BaseSettings):
 
 def shown(url: object) -> str:
     """Return a URL for people to read: without user, password and query."""
-    return re.sub(r"^([^:]+://)[^/]*@", r"\1***@", str(url)).partition("?")[0]
+    return _PASSWORD.sub(r"\1***@", str(url)).partition("?")[0]
 
 
 def _records(text: str) -> URL | None:

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from fewview.errors import FewviewError
 
+_ADDRESS = re.compile(r"^ *+API +(http://\S+)", re.MULTILINE)
 START_SECONDS = 120.0
 STOP_SECONDS = 60.0
 
@@ -66,7 +67,7 @@ def _wait_for_address(process: subprocess.Popen[bytes], log: Path) -> str:
     while time.monotonic() < deadline:
         ended = process.poll() is not None
         text = log.read_text(errors="replace")
-        if found := re.search(r"^ *API +(http://\S+)", text, re.MULTILINE):
+        if found := _ADDRESS.search(text):
             return found[1]
         if ended:
             raise ServiceError(f"`fewview serve` ended as it started:\n{text[-2000:]}")

@@ -19,6 +19,8 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+LONGEST_PROBLEM, LONGEST_PART = 1000, 300  # characters of a `FormatError`
+
 
 class FewviewError(Exception):
     """Any error of the client; its message has the remedy."""
@@ -134,16 +136,55 @@ class JobFailed(FewviewError):  # noqa: N818
 class FormatError(FewviewError, ValueError):
     """A file is not what its reader expects, or cannot be written; the message has the remedy.
 
+    Each part has a bounded length, whatever the file holds.
+
     Attributes
     ----------
+    problem
+        What is wrong, in words.
+    place
+        The file, camera or folder where it is; "" if it is none of these.
     option
         The option of reading that is wrong or missing, as `ReadingOptions` names it; None if it is
         the files.
+    remedy
+        A value of the option that helps, or its form; "" if none is known.
     """
 
-    def __init__(self, message: str, *, option: str | None = None) -> None:
-        super().__init__(message)
-        self.option = option
+    def __init__(
+        self, problem: str, *, place: object = "", option: str | None = None, remedy: str = ""
+    ) -> None:
+        self.problem, self.place = in_part(problem, LONGEST_PROBLEM), in_part(str(place))
+        self.option, self.remedy = option, in_part(remedy)
+        super().__init__(self.problem)
+
+    def worded(self, option: str, given: str) -> str:
+        """Return the message for people who give options in another way than Python.
+
+        Parameters
+        ----------
+        option
+            What the option is called there; "" to leave it out.
+        given
+            How the remedy is given there.
+        """
+        where = self.place or ("" if self.remedy else option)
+        what = f"{where}: {self.problem}" if where else self.problem
+        return f"{what}; give {given}" if self.remedy else what
+
+    def __str__(self) -> str:
+        return self.worded(self.option or "", f"{self.option}={self.remedy!r}")
+
+
+def in_part(text: str, longest: int = LONGEST_PART) -> str:
+    """Return a text of bounded length: where it is longer, its beginning and its end.
+
+    Halves of characters, which files may hold and nothing can print, become question marks.
+    """
+    if len(text) > longest:
+        end = longest // 4
+        text = f"{text[: longest - end - 5]} ... {text[-end:]}"
+    return text.encode(errors="replace").decode()
 
 
 _REMEDIES = {  # by codes, which the message ends with

@@ -11,6 +11,7 @@ from fewview.room import Room
 
 Float64 = NDArray[np.float64]
 
+_NO_LETTER = re.compile(r"[^a-z]")
 JOINTS = ("shoulder", "hip", "knee", "ankle")
 # Of the height, standing: from the ankles (0.039) to the shoulders (0.818), joint to joint.
 # Drillis and Contini, Body Segment Parameters, 1966, by Winter, Biomechanics, figure 4.1.
@@ -26,7 +27,7 @@ def joints_of(names: Sequence[str] | None) -> list[list[int]]:
     ValueError
         If one of them is not named.
     """
-    plain = [re.sub(r"[^a-z]", "", name.lower()) for name in names or ()]
+    plain = [_NO_LETTER.sub("", name.lower()) for name in names or ()]
     found = []
     for joint in JOINTS:
         sides = []

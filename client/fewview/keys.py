@@ -15,6 +15,7 @@ import httpx2
 
 from fewview.sockets import LISTENING, Address, find, plain
 
+_PRINTED = re.compile(r"[!-~]*")
 VARIABLE = "FEWVIEW_KEY"
 FOLDER_VARIABLE, USUAL_FOLDER = "FEWVIEW_DATA_DIR", "fewview-data"  # as the server has them
 TOKEN_FILE = "token"  # noqa: S105 (its name)
@@ -66,7 +67,7 @@ def key_for(url: httpx2.URL, key: str | None) -> Key:
 def _checked(key: str, name: str = "key") -> str | None:
     """Return a key without blanks around it, None if nothing is left."""
     key = key.strip()
-    if not re.fullmatch(r"[!-~]*", key):
+    if not _PRINTED.fullmatch(key):
         raise ValueError(
             f"{name}: a key has letters, digits and signs of ASCII alone, and no blanks; copy it "
             "again as `fewview key create` printed it"

@@ -33,7 +33,7 @@ MACAQUE_EDGES = (
     *((0, 1), (1, 2), (2, 3), (3, 4), (2, 5), (5, 6), (2, 7)),
     *((7, 8), (8, 9), (7, 10), (10, 11), (7, 12)),
 )
-OMS_IMAGE = r"batch(\w+?)_(\d+)_(\d+)\.jpg"  # batch, frame, camera
+OMS_IMAGE = re.compile(r"\Abatch(\w+?)_(\d+)_(\d+)\.jpg")  # batch, frame, camera
 
 File = str | PathLike[str]
 
@@ -94,8 +94,9 @@ def freihand(folder: File, *, part: str = "training") -> Capture:
     lenses, points = (_listed(Path(folder) / f"{part}_{what}.json") for what in ("K", "xyz"))
     if lenses.shape[1:] != (3, 3) or points.shape != (len(lenses), 21, 3):
         raise FormatError(
-            f"{folder}: expected matrices (N, 3, 3) and points (N, 21, 3), got {lenses.shape} and "
-            f"{points.shape}"
+            f"expected matrices (N, 3, 3) and points (N, 21, 3), got {lenses.shape} and "
+            f"{points.shape}",
+            place=folder,
         )
     shown = points @ lenses.mT
     skeleton = SKELETONS["hands-21"]
@@ -127,10 +128,10 @@ def openmonkeystudio(folder: File, *, batch: str) -> Capture:
         points = _of_mat(place / "coords_3D.mat", "coords").reshape(-1, len(MACAQUE), 4)
         crops = _of_mat(place / "crop_para.mat", "crop").reshape(-1, 6)
         labelled = _of_mat(Path(folder) / "Data.mat", "T")
-        images = [re.fullmatch(OMS_IMAGE, str(name)) for name in np.atleast_1d(labelled["name"])]
+        images = [OMS_IMAGE.fullmatch(str(name)) for name in np.atleast_1d(labelled["name"])]
         labels = np.asarray(labelled["data"], np.float64).reshape(len(images), 4 + 2 * len(MACAQUE))
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise FormatError(f"{folder}: expected the files of OMS_Data ({error})") from error
+        raise FormatError(f"expected the files of OMS_Data ({error})", place=folder) from error
     if (points[..., :1] != points[:, :1, :1]).any():
         raise FormatError(f"{place}: expected {len(MACAQUE)} rows of coordinates for each frame")
     frames = {int(number): index for index, number in enumerate(points[:, 0, 0])}
@@ -161,7 +162,7 @@ def _of_mat(file: Path, name: str) -> Any:
             ".mat files need SciPy, which is not installed: pip install 'fewview[mat]'"
         ) from error
     if not file.is_file():
-        raise FormatError(f"{file}: there is no such file")
+        raise FormatError("there is no such file", place=file)
     return loadmat(file, variable_names=[name], simplify_cells=True)[name]
 
 
@@ -174,7 +175,7 @@ def _chosen(file: Path, name: str, subject: str, action: str) -> Any:
     try:
         with zipfile.ZipFile(file) as archive:
             if archive.getinfo(f"{name}.npy").file_size > MAX_BYTES:
-                raise FormatError(f"{file}: {name} has more than {MAX_BYTES} bytes")
+                raise FormatError(f"{name} has more than {MAX_BYTES} bytes", place=file)
             with archive.open(f"{name}.npy") as stream:
                 version = np.lib.format.read_magic(stream)
                 if version == (1, 0):
@@ -185,12 +186,12 @@ def _chosen(file: Path, name: str, subject: str, action: str) -> Any:
     except FormatError:
         raise
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise FormatError(f"{file}: expected an npz with {name!r} of VideoPose3D") from error
+        raise FormatError(f"expected an npz with {name!r} of VideoPose3D", place=file) from error
     found: Any = content.item() if isinstance(content, np.ndarray) else content
     for key in (subject, action):
         if not isinstance(found, dict) or key not in found:
             known = ", ".join(map(str, found)) if isinstance(found, dict) else "none"
-            raise FormatError(f"{file}: there is no {key!r}, but {known}")
+            raise FormatError(f"there is no {key!r}, but {known}", place=file)
         found = found[key]
     return found
 
@@ -201,4 +202,4 @@ def _listed(file: Path) -> Any:
     try:
         return np.array(json.loads(file.read_bytes()), np.float64)
     except (ValueError, TypeError) as error:
-        raise FormatError(f"{file}: expected a list of lists of numbers ({error})") from error
+        raise FormatError(f"expected a list of lists of numbers ({error})", place=file) from error

@@ -73,15 +73,13 @@ class ReadingOptions:
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
-            raise FormatError(
-                f"min_confidence is {self.min_confidence}, not in [0, 1]", option="min_confidence"
-            )
+            raise FormatError(f"{self.min_confidence} is not in [0, 1]", option="min_confidence")
         if self.align not in ("auto", "index", "time"):
             raise FormatError(
-                f"align is {self.align!r}, neither 'auto', 'index' nor 'time'", option="align"
+                f"{self.align!r} is neither 'auto', 'index' nor 'time'", option="align"
             )
         if self.y not in ("down", "up"):
-            raise FormatError(f"y is {self.y!r}, neither 'down' nor 'up'", option="y")
+            raise FormatError(f"{self.y!r} is neither 'down' nor 'up'", option="y")
         self.sizes([""])
         self.rates([""])
 
@@ -108,7 +106,7 @@ class ReadingOptions:
         )
         if not right or (len(listed) != len(views) and views != [""]):
             raise FormatError(
-                f"image_size is {given!r}, not (width, height), nor {len(views)} of these",
+                f"{given!r} is not (width, height), nor {len(views)} of these",
                 option="image_size",
             )
         return [None if size is None else (int(size[0]), int(size[1])) for size in listed]
@@ -141,7 +139,7 @@ class ReadingOptions:
         for place in places:
             if places.count(place) > 1:
                 raise FormatError(
-                    f"{option}: {views[place]!r} is named twice; name each camera once",
+                    f"{views[place]!r} is named twice; name each camera once",
                     option=option,
                 )
         return places
@@ -166,16 +164,14 @@ def _place(name: str, views: Sequence[str], option: str) -> int:
     name = name.strip()
     if name in views:
         return list(views).index(name)
-    raise FormatError(
-        f"{option}: there is no camera {name!r}; there are {', '.join(views)}", option=option
-    )
+    raise FormatError(f"there is no camera {name!r}; there are {', '.join(views)}", option=option)
 
 
 def _size(text: str, option: str) -> Size:
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise FormatError(
-            f"{option} {text!r}: expected WIDTHxHEIGHT, such as 1920x1080, or of each camera, such "
+            f"{text!r}: expected WIDTHxHEIGHT, such as 1920x1080, or of each camera, such "
             "as cam1=1920x1080,cam2=1080x1920",
             option=option,
         )
@@ -189,7 +185,7 @@ def _rate(text: str, option: str) -> float:
         rate = 0.0
     if not 0 < rate < inf:
         raise FormatError(
-            f"{option} is {text}, not above 0; give one number, or those of each camera, such as "
+            f"{text!r} is not above 0: expected one number, or those of each camera, such as "
             "cam1=60,cam2=30",
             option=option,
         )

@@ -8,7 +8,7 @@
     Names of the service, and web pages, that requests may come by.
 ``connections``, ``peers``
     Connections within bounds, and which user of this machine is at the other end of one.
-``limits``, ``uploads``
+``limits``, ``uploads``, ``zips``
     Bodies on their way in, held to their limits.
 ``head``
     HEAD wherever there is a GET.

@@ -10,6 +10,8 @@ from starlette.responses import Response, StreamingResponse
 
 from service.http.errors import ApiError
 
+_ONE_RANGE = re.compile(r"bytes=\s*([0-9]{0,18})-([0-9]{0,18})\s*")
+
 
 def bytes_response(
     request: Request,
@@ -116,7 +118,7 @@ def _parse_range(header: str, size: int) -> tuple[int, int] | None:
     ApiError
         416 for a range beyond the end.
     """
-    one_range = re.fullmatch(r"bytes=\s*([0-9]{0,18})-([0-9]{0,18})\s*", header)
+    one_range = _ONE_RANGE.fullmatch(header)
     first, last = one_range.groups() if one_range else ("", "")
     if first == last == "":
         return None  # several ranges, another unit, or no range at all

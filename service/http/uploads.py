@@ -2,10 +2,6 @@
 
 import codecs
 import io
-import lzma
-import struct
-import zipfile
-import zlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
@@ -20,6 +16,7 @@ from starlette.datastructures import FormData, UploadFile
 
 from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
+from service.http.zips import ZIP_FAULTS, TooManyMembersError, members_of
 from service.settings import Settings
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -39,22 +36,6 @@ HOW_TO_SEND_FILES = (
 )
 CHARSETS = ("utf-8", "ascii", "iso8859-1")  # of forms
 LARGE_BYTES = 1024 * 1024
-MAX_MEMBERS = 64  # of a zip file of arrays
-# What a zip file that is none, or a broken one, raises while it is read.
-ZIP_FAULTS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    OverflowError,
-    RuntimeError,  # encrypted members, unknown compression
-    ValueError,
-)
-ZIP_ENTRY = b"PK\x01\x02"  # begins every entry of a zip file's directory
 NULL_BYTES = 256  # counted for a null of JSON: it may mean a keypoint, a view or a frame
 # Times the largest JSON body: what a body may take as lists, while it is read in a process of its
 # own. Captures take 10 to 15.
@@ -117,13 +98,11 @@ class Upload:
             return size
         if self.is_json:
             return size + NULL_BYTES * self.data.count(b"null")
-        is_zip = self.data.startswith(b"PK")
-        if not is_zip or self.data.count(ZIP_ENTRY) > MAX_MEMBERS:
+        if not self.data.startswith(b"PK"):
             return size
         try:
-            with zipfile.ZipFile(io.BytesIO(self.data)) as archive:
-                return size + sum(member.file_size for member in archive.infolist())
-        except ZIP_FAULTS:  # none, or one that cannot be read
+            return size + sum(member.file_size for member in members_of(self.data))
+        except (*ZIP_FAULTS, TooManyMembersError):  # none, or one that cannot be read
             return size
 
     @property

@@ -25,6 +25,7 @@ from service.resources.dataset_bodies import (
     DatasetForm,
     Frames,
     ImageSize,
+    quota_of,
     read_frames,
     read_new,
 )
@@ -186,7 +187,7 @@ def create_dataset(
     form, as `files`, one for each camera, and folders in a zip, as `folders`; `notes` of the answer
     report how they were read.
     """
-    capture, description, _ = read_new(upload, settings, name)
+    capture, description, _ = read_new(upload, settings, name, quota=quota_of(store))
     record = datasets.create(
         store,
         capture,

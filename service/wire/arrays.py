@@ -17,12 +17,18 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 
 from service.http.errors import ApiError, invalid
-from service.http.uploads import HOW_TO_SEND_FILES, MAX_MEMBERS, ZIP_ENTRY, ZIP_FAULTS
+from service.http.uploads import HOW_TO_SEND_FILES
+from service.http.zips import (
+    MAX_MEMBERS,
+    ZIP_FAULTS,
+    ZIP_MAGIC,
+    TooManyMembersError,
+    members_of,
+)
 from store.array_files import PIECE_BYTES, safetensors_arrays
 
 Arrays = dict[str, NDArray[Any]]
 
-_NPZ_MAGIC = b"PK\x03\x04"
 _MAX_HEADER = 1_000_000  # bytes of a safetensors header; a capture's has a few hundred
 _FEW = 1000  # items
 
@@ -43,7 +49,7 @@ def from_bytes(data: bytes, *, max_bytes: int) -> Arrays:
         400 for anything that is neither, is cut short, or holds pickled members; 413 for an npz
         that unpacks to more than ``max_bytes``.
     """
-    if data.startswith(_NPZ_MAGIC):
+    if data.startswith(ZIP_MAGIC):
         return _from_npz(data, max_bytes)
     try:
         if int.from_bytes(data[:8], "little") > _MAX_HEADER:
@@ -85,21 +91,19 @@ def _from_npz(data: bytes, max_bytes: int) -> Arrays:
         f"{MAX_MEMBERS} arrays. Save it with numpy.savez, which packs nothing, or send it in "
         "parts: POST /datasets/{id}/frames.",
     )
-    steps = range(0, len(data), PIECE_BYTES - len(ZIP_ENTRY) + 1)
-    # Millions of them would fill the memory; to count them at once keeps other threads waiting.
-    if sum(data.count(ZIP_ENTRY, at, at + PIECE_BYTES) for at in steps) > MAX_MEMBERS:
-        raise too_large
     try:
+        members = members_of(data)
+        if sum(member.file_size for member in members) > max_bytes:
+            raise too_large
+        arrays = {}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = archive.infolist()
-            if sum(member.file_size for member in members) > max_bytes:
-                raise too_large
-            arrays = {}
             for member in members:
                 with archive.open(member) as stream:
                     name = member.filename.removesuffix(".npy")
                     arrays[name] = _from_npy(name, stream, member.file_size)
-            return arrays
+        return arrays
+    except TooManyMembersError:
+        raise too_large from None
     except ZIP_FAULTS as error:
         raise ApiError("malformed_body", f"The .npz file cannot be read: {error}") from error
 

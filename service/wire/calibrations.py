@@ -71,6 +71,7 @@ class _Kind(NamedTuple):
     media_type: str
 
 
+_BLANK = re.compile(r"\s")
 KINDS = {
     "anipose": _Kind("cameras.toml", "application/toml"),
     "opencv": _Kind("cameras.yml", "application/yaml"),
@@ -115,7 +116,7 @@ def calibration_file(
         if names and len(set(names)) < len(names):
             names = None
         if names and format == "colmap":  # which knows no blanks
-            names = [re.sub(r"\s", "_", name) for name in names]
+            names = [_BLANK.sub("_", name) for name in names]
         found = from_model(cameras.model_dump(mode="json"), names, sizes)
         write_cameras(target, found, format)
         content = _zipped(target) if format == "colmap" else target.read_bytes()

@@ -6,6 +6,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+MOST_OPEN = 256  # files
 FIRST_TO_END = "1000"  # of what the kernel ends where memory is full
 # All that they get of the environment, which holds passwords: of records, of objects, ...
 KEPT = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
@@ -28,7 +29,7 @@ def child_environment(**more: str) -> dict[str, str]:
     return {name: os.environ[name] for name in KEPT if name in os.environ} | OWN | more
 
 
-def limit(memory: int, seconds: int) -> None:
+def limit(memory: int, seconds: int, file_bytes: int = 0) -> None:
     """Bound this process, for good, and have it end first where memory is full.
 
     Parameters
@@ -37,6 +38,8 @@ def limit(memory: int, seconds: int) -> None:
         Bytes of addresses.
     seconds
         Of processor time; SIGXCPU ends it then.
+    file_bytes
+        Of each file that it writes; writing more is an error.
     """
     with suppress(OSError):  # no Linux
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END)
@@ -44,5 +47,8 @@ def limit(memory: int, seconds: int) -> None:
         (resource.RLIMIT_AS, memory),
         (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, file_bytes),
+        (resource.RLIMIT_NOFILE, MOST_OPEN),
+        (resource.RLIMIT_NPROC, 0),  # more: it stays one, with one thread
     ):
         resource.setrlimit(kind, (most, most))

@@ -1,10 +1,8 @@
 """Files as detectors write them, one for each camera, as the arrays of a capture."""
 
 import re
-import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
-from io import BytesIO
 from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,22 +15,24 @@ from fewview.reading_options import ReadingOptions
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from service.http.errors import ApiError, from_validation, invalid
-from service.http.uploads import ZIP_FAULTS, Upload
+from service.http.uploads import Upload
+from service.http.zips import ZIP_FAULTS, ZIP_MAGIC, TooManyMembersError, members_of
 from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.calibrations import CaptureCalibration, checked_calibration
 from service.wire.people import ViewPeoplePreview
-from service.wire.reading_apart import OUT, cameras_apart, read_apart
+from service.wire.reading_apart import cameras_apart, read_apart
+from service.wire.reading_child import OUT, Unpacking
 
 LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
-LONGEST_NOTE, MOST_NOTES = 1000, 100
-# Of a whole path; readers are given names alone, so such a path is one of this machine.
-FOLDERS = re.compile(r"(?<![\w.)\]-])/(?:[^\s'\"/()]+/)*(?=[\w.])")
-# Options that have another name in the form, and how messages name those of commands.
+# What files may unpack to: so many times their size, or this. Tables and JSON shrink to a tenth in
+# a zip, tracks in HDF5 that are mostly gaps to a fiftieth.
+UNPACKED_TIMES, UNPACKED_SMALL = 64, 64 * 1024 * 1024
+LONGEST_TEXT = 1000  # characters of a field
+# Options that have another name in the form, or take another remedy there.
 FIELDS = {"image_size": "image_sizes", "columns": "table_columns"}
-OF_COMMANDS = re.compile(r" \(--[^)]*\)")
 OF_FORM = {"image_size": "image_sizes for each view, such as [[1920, 1080], [1280, 720]]"}
-MAPPING = re.compile(r"fewview convert .{1,200}? --columns (?=')")
+_ODD = re.compile(r"[^\w.() +-]")  # in a file's name
 
 
 def _one_of(*known: str) -> AfterValidator:
@@ -67,18 +67,18 @@ class DetectorReading(BaseModel):
     )
     table_columns: str = Field(
         "",
-        max_length=LONGEST_NOTE,
+        max_length=LONGEST_TEXT,
         description="Of `files`: the contents of a table's columns, if their names are unusual, "
         "such as `x={}_x,y={}_y,frame=No`.",
     )
     cameras: str = Field(
         "",
-        max_length=LONGEST_NOTE,
+        max_length=LONGEST_TEXT,
         description="Of `files`: which views are wanted, in their order, such as `cam1,cam2`.",
     )
     trial: str = Field(
         "",
-        max_length=LONGEST_NOTE,
+        max_length=LONGEST_TEXT,
         description="The trial or detector to read, where `files` are of several.",
     )
     y: Literal["down", "up"] = Field(
@@ -86,7 +86,7 @@ class DetectorReading(BaseModel):
     )
     mirror: str = Field(
         "",
-        max_length=LONGEST_NOTE,
+        max_length=LONGEST_TEXT,
         description="Of `files`: which views show mirror images, such as `cam2`.",
     )
     skeleton_name: str = Field(
@@ -120,11 +120,12 @@ def holds_arrays(upload: Upload) -> bool:
     if len(upload.files) > 1 or any(file.holds_folders for file in upload.files):
         return False
     data = upload.data
-    if not data.startswith(b"PK\x03\x04"):
+    if not data.startswith(ZIP_MAGIC):
         return data[8:9] == b"{" and int.from_bytes(data[:8], "little") < len(data)
     try:
-        with zipfile.ZipFile(BytesIO(data)) as archive:
-            return all(name.endswith(".npy") for name in archive.namelist())
+        return all(member.filename.endswith(".npy") for member in members_of(data))
+    except TooManyMembersError:
+        return False
     except ZIP_FAULTS:
         return True
 
@@ -137,6 +138,7 @@ def read_files(
     fps: float | None,
     image_sizes: Sequence[Sequence[int] | None] | None,
     with_people: bool = False,
+    quota: int | None = None,
 ) -> ReadFiles:
     """Read an upload's files, in a separate process.
 
@@ -150,6 +152,8 @@ def read_files(
         (width, height) in pixels of each view, None where unknown.
     with_people
         Whether to look whom each view shows.
+    quota
+        Bytes that who sends them may store, if that is bounded: they unpack to no more.
 
     Raises
     ------
@@ -183,6 +187,7 @@ def read_files(
                 max_bytes=settings.max_body_bytes,
                 holds_folders=upload.files[0].holds_folders,
                 with_people=with_people,
+                unpack=_unpacking(upload, settings, quota),
             )
     except FormatError as error:
         raise _at_field(error) from error
@@ -193,7 +198,7 @@ def read_files(
     }
     fields: dict[str, Any] = {
         "fps": found.fps,
-        "view_names": [_text(name, LONGEST_NAME) for name in found.view_names or ()],
+        "view_names": list(found.view_names or ()),
     }
     if found.keypoint_names is not None or found.edges is not None:
         fields["skeleton"] = {"keypoint_names": found.keypoint_names, "edges": found.edges or ()}
@@ -202,9 +207,8 @@ def read_files(
     notes = list(found.notes)
     if found.calibration is not None:
         fields["calibration"] = checked_calibration(found.calibration, notes)
-    shown = [_sentence(note) for note in notes[:MOST_NOTES]]
     people = [ViewPeoplePreview.of(view) for view in found.people or ()]
-    return ReadFiles(arrays, fields, shown, people or None)
+    return ReadFiles(arrays, fields, notes, people or None)
 
 
 def read_calibration(upload: Upload, views: Sequence[str]) -> tuple[CaptureCalibration, list[str]]:
@@ -232,8 +236,8 @@ def read_calibration(upload: Upload, views: Sequence[str]) -> tuple[CaptureCalib
         raise _at_field(error) from error
     known = checked_calibration(found, notes)
     if known is None:
-        raise invalid("/files", _sentence(notes[-1]))
-    return CaptureCalibration.model_validate(known), [_sentence(note) for note in notes]
+        raise invalid("/files", notes[-1])
+    return CaptureCalibration.model_validate(known), notes
 
 
 def _written(upload: Upload, folder: Path) -> list[str]:
@@ -245,29 +249,34 @@ def _written(upload: Upload, folder: Path) -> list[str]:
     return names
 
 
+def _unpacking(upload: Upload, settings: Settings, quota: int | None) -> Unpacking:
+    """Return what the files of a request may unpack to, together."""
+    sent = sum(len(file.data) for file in upload.files)
+    by_size = max(UNPACKED_SMALL, UNPACKED_TIMES * sent)
+    most, name = settings.max_unpacked_bytes, "FEWVIEW_MAX_UNPACKED_BYTES"
+    bounds = [
+        Unpacking(most, f"the {most:,} bytes of {name}"),
+        Unpacking(
+            by_size, f"{by_size:,} bytes, which files of this size may ({name} bounds the largest)"
+        ),
+    ]
+    if quota is not None:
+        bounds.append(Unpacking(quota, f"the {quota:,} bytes that this key may store"))
+    return min(bounds)
+
+
 def _at_field(error: FormatError) -> ApiError:
-    """Return the error with the form's field that is wrong, and without options of commands."""
+    """Return the error with the form's field that is wrong, and the remedy as the form has it."""
     option = error.option or "files"
     field = FIELDS.get(option, option)
-    message = MAPPING.sub("table_columns=", OF_COMMANDS.sub("", str(error)))
-    if option in OF_FORM:
-        message = f"{message.partition('; give ')[0]}; give {OF_FORM[option]}"
-    return invalid(f"/{field}", _sentence(re.sub(rf"\b{option}(?=[=:])", field, message)))
-
-
-def _text(text: str, longest: int) -> str:
-    """Return text from a file, of bounded length, without halves of characters."""
-    return text[:longest].encode(errors="replace").decode()
-
-
-def _sentence(message: str) -> str:
-    """Return an error or a note, without the folders of this machine that a library names."""
-    return _text(FOLDERS.sub("", message), LONGEST_NOTE)
+    given = OF_FORM.get(option, f"{field}={error.remedy!r}")
+    return invalid(f"/{field}", error.worded("", given))
 
 
 def _name(given: str, taken: list[str]) -> str:
     """Return a file's name without a folder, and without what a name should not have."""
-    plain = re.sub(r"[^\w.() +-]", "_", re.split(r"[/\\]", given)[-1]).lstrip(". ")
+    last = given.replace("\\", "/").rpartition("/")[2][-LONGEST_NAME:]
+    plain = _ODD.sub("_", last).lstrip(". ")
     plain = plain.encode()[-LONGEST_NAME:].decode(errors="ignore") or "file"
     numbered = (f"{number}_{plain}" for number in count(1))
     return next(name for name in chain([plain], numbered) if name not in (OUT, *taken))

@@ -5,46 +5,48 @@ them are written in C. A crash ends the child, not its parent. The child is also
 no file can make it read anything outside the upload.
 
 How many children there are at a time is bounded in `app.py`: the process's `large_at_a_time` and
-two more, of `MEMORY` at most each. Should they fill the machine's memory all the same, the kernel
-ends a child, and not the service. A child that takes long leaves the CPUs to others.
+two more, of `MEMORY` (`reading_child.py`) at most each. Should they fill the machine's memory all
+the same, the kernel ends a child, and not the service. A child that takes long leaves the CPUs to
+others.
 """
 
-import io
 import json
 import logging
 import os
 import subprocess
-import sys
-from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
-from importlib import import_module
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from fewview.calibration import FORMATS as CALIBRATIONS
 from fewview.capture import CameraCalibration, Capture, SeenPerson, ViewPeople
 from fewview.errors import FormatError
 from fewview.reading_options import ReadingOptions
+from pydantic import BaseModel, ConfigDict, field_validator
 
-from service.wire.children import child_code, child_environment, limit
-from service.wire.confinement import confine
-from worker.process import die_with_parent, python
+from service.http.errors import ApiError
+from service.wire import reading_child
+from service.wire.arrays import from_bytes
+from service.wire.children import child_code, child_environment
+from service.wire.reading_child import (
+    CAPTURE,
+    ERROR,
+    LOG,
+    LONGEST_OTHERS,
+    OTHERS,
+    OUT,
+    SECONDS,
+    Unpacking,
+)
+from worker.process import python
 
+Made = TypeVar("Made")
 logger = logging.getLogger(__name__)
 
-MEMORY = 3 * 2**30  # bytes of addresses, what Python and its libraries take among them
-SECONDS = 120
 QUICK_SECONDS, SLOW_NICENESS = 5, 10  # a child that takes longer gets this niceness
-OUT, CAPTURE, OTHERS = "out", "capture.npz", "others.json"
-FOLDERS = "folders"
-READERS = (
-    "h5py",
-    "yaml",
-    "fewview.readers.reading",
-    *(f"fewview.calibration.{known.module}" for known in CALIBRATIONS),
-)
-LONGEST_LOG = 2000  # characters
+LONGEST_HEADERS, LONGEST_ERROR, LONGEST_LOG = 2**16, 2**16, 2000  # bytes
 
 
 def read_apart(
@@ -53,6 +55,7 @@ def read_apart(
     options: ReadingOptions,
     *,
     max_bytes: int,
+    unpack: Unpacking | None = None,
     holds_folders: bool = False,
     with_people: bool = False,
 ) -> Capture:
@@ -66,6 +69,8 @@ def read_apart(
         Of the files in it, one for each camera.
     max_bytes
         Largest capture that is taken, as float32 and float64.
+    unpack
+        What the files may unpack to; `max_bytes` if not given.
     holds_folders
         Whether the one file is a zip whose files and folders are read as if they were named.
     with_people
@@ -79,10 +84,11 @@ def read_apart(
     asked = {
         "options": asdict(options),
         "max_bytes": max_bytes,
+        "unpack": unpack or Unpacking(max_bytes, f"{max_bytes:,} bytes"),
         "holds_folders": holds_folders,
         "with_people": with_people,
     }
-    return _capture(_apart(folder, names, asked))
+    return _apart(folder, names, asked, partial(_capture, max_bytes=max_bytes))
 
 
 def cameras_apart(
@@ -105,13 +111,13 @@ def cameras_apart(
     FormatError
         If there is no calibration, or it does not fit the views, and as for `read_apart`.
     """
-    out = _apart(folder, names, {"views": list(views)})
-    others = json.loads((out / OTHERS).read_bytes())
-    return _calibration(others["calibration"]), others["notes"]
+    return _apart(folder, names, {"views": list(views)}, _cameras)
 
 
-def _apart(folder: Path, names: Sequence[str], asked: dict[str, Any]) -> Path:
-    """Have a child read files of a folder; return the folder of what it wrote.
+def _apart(
+    folder: Path, names: Sequence[str], asked: dict[str, Any], made: Callable[[Path], Made]
+) -> Made:
+    """Have a child read files of a folder; return what it made, as a function reads it.
 
     Raises
     ------
@@ -121,66 +127,102 @@ def _apart(folder: Path, names: Sequence[str], asked: dict[str, Any]) -> Path:
     out = folder / OUT
     out.mkdir()
     asked = {"names": list(names), "parent": os.getpid(), **asked}
-    code = child_code(f"from {__name__} import main", "main()")
+    code = child_code(f"from {reading_child.__name__} import main", "main()")
+    place = ", ".join(names)
     try:
         # What the child unpacks goes with the folder, even if it is killed.
         environment = child_environment(TMPDIR=str(folder))
-        done = _run(python("-c", code), json.dumps(asked).encode(), folder, environment)
+        status, log = _run(python("-c", code), json.dumps(asked).encode(), folder, environment)
     except subprocess.TimeoutExpired:
-        raise FormatError(f"{', '.join(names)}: took more than {SECONDS} s to read") from None
-    if done.returncode == 0:
-        return out
-    if done.returncode == 1 and done.stdout:
-        option, _, message = done.stdout.decode(errors="replace").partition("\n")
-        known = {field.name for field in fields(ReadingOptions)}
-        raise FormatError(message, option=option if option in known else None)
-    errors = done.stderr.decode(errors="replace")[-LONGEST_LOG:]
-    logger.warning("Reading files ended with status %d: %s", done.returncode, errors)
+        raise FormatError(f"took more than {SECONDS} s to read", place=place) from None
+    try:
+        if status == 0:
+            return made(out)
+        if status == 1 and (out / ERROR).exists():
+            found = _Error.model_validate_json(_made(out / ERROR, LONGEST_ERROR))
+            raise FormatError(**found.model_dump())
+    except (ApiError, LookupError, OSError, TypeError, ValueError) as error:
+        if isinstance(error, FormatError):
+            raise
+        logger.warning("Reading files left what cannot be read: %s", error)
+    logger.warning("Reading files ended with status %d: %s", status, log)
     raise FormatError(
-        f"{', '.join(names)}: broken, or too much: reading ended without an answer "
-        f"(status {done.returncode})"
+        f"broken, or too much: reading ended without an answer (status {status})", place=place
     )
 
 
 def _run(
     command: list[str], given: bytes, folder: Path, environment: dict[str, str]
-) -> subprocess.CompletedProcess[bytes]:
-    """Do as ``subprocess.run`` does; a process that takes long gives way to others on the CPUs."""
-    with subprocess.Popen(  # noqa: S603 (our own program; names come as data)
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=folder,
-        env=environment,
-    ) as process:
+) -> tuple[int, str]:
+    """Run a process, and return its status and the end of what it wrote.
+
+    One that takes long gives way to others on the CPUs.
+    """
+    with (
+        (folder / OUT / LOG).open("w+b") as log,
+        subprocess.Popen(  # noqa: S603 (our own program; names come as data)
+            command,
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=log,
+            cwd=folder,
+            env=environment,
+        ) as process,
+    ):
         quick = min(QUICK_SECONDS, SECONDS)
         try:
             try:
-                out, errors = process.communicate(given, timeout=quick)
+                process.communicate(given, timeout=quick)
             except subprocess.TimeoutExpired:
                 os.setpriority(os.PRIO_PROCESS, process.pid, SLOW_NICENESS)
-                out, errors = process.communicate(timeout=SECONDS - quick)
+                process.communicate(timeout=SECONDS - quick)
         except BaseException:
             process.kill()
             raise
-    return subprocess.CompletedProcess(command, process.returncode, out, errors)
+        log.seek(max(0, log.seek(0, os.SEEK_END) - LONGEST_LOG))
+        return process.returncode, log.read(LONGEST_LOG).decode(errors="replace")
 
 
-def _capture(out: Path) -> Capture:
-    with np.load(io.BytesIO((out / CAPTURE).read_bytes()), allow_pickle=False) as arrays:
-        found: dict[str, Any] = {
-            name: arrays[name]
-            for name in ("keypoints", "confidence", "points3d", "times")
-            if name in arrays
-        }
-    others = json.loads((out / OTHERS).read_bytes())
+class _Error(BaseModel):
+    """A `FormatError`, as data."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    problem: str
+    place: str
+    option: str | None
+    remedy: str
+
+    @field_validator("option")
+    @classmethod
+    def _known(cls, option: str | None) -> str | None:
+        return option if option in {field.name for field in fields(ReadingOptions)} else None
+
+
+def _made(path: Path, most: int) -> bytes:
+    """Return a file that the child made, of bounded size; what a file made it do is not trusted."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"{path.name} has more than {most} bytes")
+    return data
+
+
+def _capture(out: Path, max_bytes: int) -> Capture:
+    most = max_bytes + LONGEST_HEADERS
+    found: dict[str, Any] = from_bytes(_made(out / CAPTURE, most), max_bytes=most)
+    others = json.loads(_made(out / OTHERS, LONGEST_OTHERS))
     calibration, people = others.pop("calibration"), others.pop("people")
     if calibration is not None:
         found["calibration"] = _calibration(calibration)
     if people is not None:
         found["people"] = tuple(map(_people, people))
     return Capture(**found, **{name: _tuples(value) for name, value in others.items()})
+
+
+def _cameras(out: Path) -> tuple[CameraCalibration, list[str]]:
+    others = json.loads(_made(out / OTHERS, LONGEST_OTHERS))
+    return _calibration(others["calibration"]), others["notes"]
 
 
 def _calibration(found: dict[str, Any]) -> CameraCalibration:
@@ -197,89 +239,3 @@ def _people(view: dict[str, Any]) -> ViewPeople:
 
 def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def main() -> None:
-    """Read the files that standard input names into the folder ``out``.
-
-    Exit status 1: the first line of standard output is the option that is wrong, or empty, and the
-    error is below.
-    """
-    asked = json.loads(sys.stdin.buffer.read())
-    die_with_parent(asked.pop("parent"))
-    limit(MEMORY, SECONDS)
-    try:
-        if "views" in asked:
-            _read_cameras(**asked)
-        else:
-            _read(ReadingOptions(**asked.pop("options")), **asked)
-    except FormatError as error:
-        sys.stdout.write(f"{error.option or ''}\n{error}")
-        sys.exit(1)
-    except MemoryError:
-        sys.stdout.write(
-            f"\n{', '.join(asked['names'])}: need more memory than there is; part them"
-        )
-        sys.exit(1)
-
-
-def _read_cameras(names: list[str], views: list[str]) -> None:
-    _load_readers()
-    from fewview.readers.calibrations import calibrations_at, of_views  # noqa: PLC0415
-
-    confine(Path())
-    notes: list[str] = []
-    _, found = of_views(calibrations_at(map(Path, names), notes), views, None, notes)
-    if found is None:
-        known = "TOML of Anipose, Pose2Sim, FreeMoCap or caliscope, YAML or JSON of OpenCV"
-        reason = "; ".join(notes) or f"no calibration that is known: {known}"
-        raise FormatError(f"{', '.join(names)}: {reason}")
-    Path(OUT, OTHERS).write_text(json.dumps({"calibration": asdict(found), "notes": notes}))
-
-
-def _load_readers() -> None:
-    """Load what is needed, within the limits, and before no module can be opened any more."""
-    for name in READERS:
-        import_module(name)
-
-
-def _read(
-    options: ReadingOptions,
-    names: list[str],
-    max_bytes: int,
-    *,
-    holds_folders: bool,
-    with_people: bool,
-) -> None:
-    _load_readers()
-    from fewview.readers.archives import laid_out  # noqa: PLC0415
-    from fewview.readers.reading import read_with  # noqa: PLC0415
-
-    out = Path(OUT).absolute()
-    confine(Path())
-    if holds_folders:
-        (zipped,), inside = names, out / FOLDERS
-        inside.mkdir()
-        os.chdir(inside)  # so that messages have the names that files have for who sent them
-        names = laid_out(out.parent / zipped, Path())
-    capture = read_with(names, replace(options, untrusted=True), with_people=with_people)
-    arrays = capture.arrays()
-    size = sum(array.nbytes for array in arrays.values())
-    if size > max_bytes:
-        raise FormatError(
-            f"{', '.join(names)}: make {capture.frames:,} frames of {capture.views} views, "
-            f"{size:,} bytes, more than the {max_bytes:,} that are taken at a time; send them in "
-            "parts"
-        )
-    np.savez(out / CAPTURE, allow_pickle=False, **arrays)
-    others = {
-        "keypoint_names": capture.keypoint_names,
-        "edges": capture.edges,
-        "view_names": capture.view_names,
-        "image_sizes": capture.image_sizes,
-        "fps": capture.fps,
-        "notes": capture.notes,
-        "calibration": capture.calibration and asdict(capture.calibration),
-        "people": capture.people and [asdict(view) for view in capture.people],
-    }
-    (out / OTHERS).write_text(json.dumps(others, default=np.ndarray.tolist))

@@ -21,6 +21,8 @@ import numpy as np
 from fewview.calibration.camera import Camera, rotation_matrix
 from fewview.errors import FormatError
 
+_LAST_NUMBER = re.compile(r"(?<!\d)\d+$")
+
 
 def read(path: Path) -> list[Camera]:
     """Return the cameras of a file."""
@@ -31,10 +33,10 @@ def read(path: Path) -> list[Camera]:
         for name, section in sections.items()
         if isinstance(section, dict) and _or_none(section.get("matrix")) is not None
     }
-    numbers = [re.search(r"\d+$", name) for name in found]
+    numbers = [_LAST_NUMBER.search(name) for name in found]
     order = list(found)
     if all(numbers):
-        order.sort(key=lambda name: int(name[re.search(r"\d+$", name).start() :]))  # type: ignore[union-attr]
+        order.sort(key=lambda name: int(_LAST_NUMBER.findall(name)[0][-18:]))
     return [_camera(name, found[name]) for name in order]
 
 

@@ -10,6 +10,7 @@ from fewview.calibration.files import read_cameras
 from fewview.errors import FormatError
 
 # Endings of images, as COLMAP names cameras, and of videos.
+_BETWEEN = re.compile(r"[\s._-]")
 MEDIA = re.compile(r"\.(png|jpe?g|bmp|tiff?|mp4|avi|mov|mkv|m4v|webm)$", re.IGNORECASE)
 
 
@@ -106,4 +107,4 @@ def as_config(camera: Camera) -> dict[str, Any]:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\s._-]", "", MEDIA.sub("", name)).casefold()
+    return _BETWEEN.sub("", MEDIA.sub("", name)).casefold()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import AsJson
+from fewview.commands.talking import AsJson, in_short
 
 if TYPE_CHECKING:
     from fewview.capture import Capture
@@ -33,7 +33,7 @@ def convert(
     try:
         capture = read_with(files, options())
     except (FormatError, OSError) as error:
-        _refuse(str(error))
+        _refuse(in_short(error))
     understood = summary(capture)
     typer.echo(json.dumps(understood) if as_json else in_words(understood))
     if output is not None:

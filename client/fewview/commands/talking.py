@@ -1,6 +1,7 @@
 """What all commands that talk to the service have in common: options, errors, output."""
 
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,6 +54,10 @@ def in_short(error: Exception) -> str:
     """Return what went wrong in one line; of a file, which one."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, FormatError):
+        option = f"--{error.option.replace('_', '-')}" if error.option else ""
+        given = f"{option} {shlex.quote(error.remedy)}"
+        return " ".join(error.worded(option, given).split())
     return " ".join(str(error).split())
 
 

@@ -1,7 +1,6 @@
 """Zip files of what a detector wrote into folders."""
 
 import lzma
-import re
 import struct
 import zipfile
 import zlib
@@ -12,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 from fewview.errors import FormatError
+from fewview.readers.budget import take
 from fewview.readers.names import natural
 from fewview.readers.sources import ZIP, Source
 
@@ -30,9 +30,19 @@ def workplace() -> Iterator[Path]:
             yield Path(folder)
         except FormatError as error:
             raise FormatError(
-                re.sub(rf"{re.escape(folder)}/\d+/{NAMED}/", "", str(error)),
+                error.problem.replace(f"{folder}/", ""),
+                place=_within(error.place, Path(folder)),
                 option=error.option,
+                remedy=error.remedy,
             ) from error
+
+
+def _within(place: str, folder: Path) -> str:
+    """Return a place without the folder that it was unpacked into, if it was."""
+    if not place.startswith(f"{folder}/"):
+        return place
+    number_and_named = 2
+    return str(Path(*Path(place).relative_to(folder).parts[number_and_named:]))
 
 
 def is_archive(path: Path) -> bool:
@@ -49,12 +59,14 @@ def is_archive(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
         if WORKBOOK in names:
-            raise FormatError(f"{path}: an Excel workbook; save the sheet of each camera as CSV")
+            raise FormatError("an Excel workbook; save the sheet of each camera as CSV", place=path)
         return "keypoints.npy" not in names
     except FormatError:
         raise
     except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise FormatError(f"{path}: a zip file or npz that is broken ({_cause(error)})") from error
+        raise FormatError(
+            f"a zip file or npz that is broken ({_cause(error)})", place=path
+        ) from error
 
 
 def unpacked(path: Path, folder: Path) -> Path:
@@ -96,12 +108,16 @@ def _unpack(path: Path, folder: Path, *, without_common: bool) -> None:
             size = sum(each.file_size for each in members)
             if size > MAX_UNPACKED or len(members) > MAX_MEMBERS:
                 raise FormatError(
-                    f"{path}: unpacks to {len(members):,} files of {size / 2**20:,.0f} MiB, more "
+                    f"unpacks to {len(members):,} files of {size / 2**20:,.0f} MiB, more "
                     f"than the {MAX_MEMBERS:,} files and {MAX_UNPACKED / 2**20:,.0f} MiB that are "
-                    "read of a zip file; part it"
+                    "read of a zip file; part it",
+                    place=path,
                 )
             if max((member.filename.count("/") for member in members), default=0) > MAX_DEPTH:
-                raise FormatError(f"{path}: has more than {MAX_DEPTH} folders within each other")
+                raise FormatError(
+                    f"has more than {MAX_DEPTH} folders within each other", place=path
+                )
+            take(size, path)
             if without_common:
                 _without_common_folders(members)
             for member in members:
@@ -119,7 +135,9 @@ def _unpack(path: Path, folder: Path, *, without_common: bool) -> None:
     ) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{path}: a zip file that cannot be read ({_cause(error)})") from error
+        raise FormatError(
+            f"a zip file that cannot be read ({_cause(error)})", place=path
+        ) from error
 
 
 def _without_common_folders(members: list[zipfile.ZipInfo]) -> None:

@@ -14,6 +14,7 @@ from fewview.readers.names import frame_number, natural
 from fewview.readers.skeletons import SKELETONS
 from fewview.readers.views import Int64, View, bounded
 
+_WHOLE = re.compile(r"\d{1,18}(\.0*)?")
 COORDINATES = {"x": 0, "y": 1, "confidence": 2, "visibility": 2}
 MAX_COLUMNS = 2**16  # of a table: 21,845 keypoints with their confidence
 HANDS = {"wrist", "thumbcmc", "thumbmcp", "thumbip", "thumbtip"} | {
@@ -70,7 +71,7 @@ def view_of_labels(
     whole = with_x & with_y
     points = list(dict.fromkeys(each.keypoint for each in labels if each.keypoint in whole))
     if not points:
-        raise FormatError(f"{what}: has no columns of x and y")
+        raise FormatError("has no columns of x and y", place=what)
     numbered = all(point.isdecimal() for point in points)
     if numbered:
         points.sort(key=natural)
@@ -161,7 +162,7 @@ def without_depth(
         else OF_MEDIAPIPE.issuperset(map(plain, names))
     )
     if not (visible or (shares and landmarks)):
-        raise FormatError(f"{what}: {OF_3D}")
+        raise FormatError(f"{OF_3D}", place=what)
     note = "the z of landmarks is a guess of one image, and was left out"
     return replace(view, notes=(*view.notes, note))
 
@@ -170,8 +171,9 @@ def bounded_columns(count: int, what: str) -> None:
     """Refuse a table of more columns than people have keypoints; `what` names its file."""
     if count > MAX_COLUMNS:
         raise FormatError(
-            f"{what}: has {count:,} columns, more than the {MAX_COLUMNS:,} that are read; "
-            "leave out those that hold no keypoints"
+            f"has {count:,} columns, more than the {MAX_COLUMNS:,} that are read; "
+            "leave out those that hold no keypoints",
+            place=what,
         )
 
 
@@ -186,12 +188,12 @@ def row_numbers(rows: Sequence[object], what: str) -> Int64:
         If a number is there twice; `what` names the file in it.
     """
     texts = [row.decode("utf-8", "replace") if isinstance(row, bytes) else str(row) for row in rows]
-    if all(re.fullmatch(r"\d{1,18}(\.0*)?", text) for text in texts):
+    if all(_WHOLE.fullmatch(text) for text in texts):
         numbers = np.array([int(text.partition(".")[0]) for text in texts], np.int64)
         once, count = np.unique(numbers, return_counts=True)
         if len(once) < len(numbers):
             raise FormatError(
-                f"{what}: has frame {once[count > 1][0]} twice; give a file for each camera"
+                f"has frame {once[count > 1][0]} twice; give a file for each camera", place=what
             )
         return numbers
     split = [frame_number(text if "." in text else f"{text}.") for text in texts]

@@ -98,7 +98,7 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
     views = _common_keypoints(list(views), notes)
     for view in views:
         if view.fps is not None and not 0 < view.fps < inf:
-            raise FormatError(f"{view.name}: `fps` is {view.fps}, not above 0", option="fps")
+            raise FormatError(f"`fps` is {view.fps}, not above 0", place=view.name, option="fps")
     rows, numbers, times, fps = together(views, align, notes, one_file=one_file)
     first = views[0]
     keypoints, confidence = _side_by_side(views, rows)
@@ -190,8 +190,9 @@ def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
             raise FormatError(
                 "the cameras have "
                 + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
-                + " keypoints, and not all have names to match them by; give skeleton (--skeleton)",
+                + " keypoints, and not all have names to match them by",
                 option="skeleton",
+                remedy="NAME",
             )
         known = next((each for each in names if each is not None), None)
         return [replace(view, keypoint_names=known) for view in views]

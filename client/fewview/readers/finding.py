@@ -70,15 +70,13 @@ def sources_at(
         if path.is_dir():
             inside = _in_folder(path, name, notes, DEPTH, others)
             if not inside:
-                raise FormatError(
-                    f"{path}: a folder with no file of a known format{_first_looks_like(path)}"
-                )
+                raise _nothing_in(path)
             found += _newest(inside, path, notes)
         elif path.exists():
             source = Source(path)
             found.append((source, find(source, name)))
         else:
-            raise FormatError(f"{path}: there is no such file or folder")
+            raise FormatError("there is no such file or folder", place=path)
     names = names_of_paths([each.path for each, _ in found], [each.name for each, _ in found])
     mine, called, note = of_one_trial(names, trial)
     notes += filter(None, [note])
@@ -131,17 +129,20 @@ def _in_folder(
     return _one_of_each(found, folder, notes)
 
 
-def _first_looks_like(folder: Path) -> str:
-    """Return what the first file of a folder looks like, to go on an error; "" without files."""
+def _nothing_in(folder: Path) -> FormatError:
+    """Return the error of a folder without a file that can be read: what the first looks like."""
+    nothing = "a folder with no file of a known format"
     files = sorted((path for path in folder.iterdir() if path.is_file()), key=natural)
     files = [path for path in files if not path.name.startswith(".")]
     if not files:
-        return ""
+        return FormatError(nothing, place=folder)
+    name = files[0].name
     try:
         found = find(Source(files[0]), None)
     except FormatError as error:
-        return f"; {error}"
-    return f"; {files[0].name} looks like {found.title}"
+        problem = f"{nothing}; {name}: {error.problem}"
+        return FormatError(problem, place=folder, option=error.option, remedy=error.remedy)
+    return FormatError(f"{nothing}; {name} looks like {found.title}", place=folder)
 
 
 def _newest(found: list[Found], folder: Path, notes: list[str]) -> list[Found]:
@@ -185,7 +186,8 @@ def _one_of_each(found: list[Found], folder: Path, notes: list[str]) -> list[Fou
     names = sorted({kind.name for _, kind in kept.values()})
     if len(names) > 1:
         raise FormatError(
-            f"{folder}: holds files of several formats ({', '.join(names)}); list those of the "
-            "cameras one by one"
+            f"holds files of several formats ({', '.join(names)}); list those of the "
+            "cameras one by one",
+            place=folder,
         )
     return sorted(kept.values(), key=lambda each: natural(each[0].path.name))

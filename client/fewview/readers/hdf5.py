@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fewview.errors import FormatError
+from fewview.readers.budget import take
 from fewview.readers.views import bounded
 
 MAX_OBJECTS = 100_000  # groups and datasets
@@ -36,7 +37,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         file = h5py.File(path, "r")
     except (OSError, RuntimeError) as error:
-        raise FormatError(f"{path}: no HDF5 file, or a broken one ({error})") from error
+        raise FormatError(f"no HDF5 file, or a broken one ({error})", place=path) from error
     with file:
         _check(file, str(path))
         yield file
@@ -52,11 +53,20 @@ def values(dataset: Any, what: str) -> Any:
     """
     shape = getattr(dataset, "shape", None)
     if shape is None:
-        raise FormatError(f"{what}: {dataset.name} is a group, or empty, where an array should be")
-    bounded(shape, f"{what}: {dataset.name}")
-    if math.prod(shape) * dataset.dtype.itemsize > MAX_BYTES:
-        raise FormatError(f"{what}: {dataset.name} is too large; cut it in parts")
+        raise FormatError(
+            f"{_name(dataset)} is a group, or empty, where an array should be", place=what
+        )
+    bounded(shape, f"{what}: {_name(dataset)}")
+    size = math.prod(shape) * dataset.dtype.itemsize
+    if size > MAX_BYTES:
+        raise FormatError(f"{_name(dataset)} is too large; cut it in parts", place=what)
+    take(size, what)
     return dataset[()]
+
+
+def _name(item: Any) -> str:
+    """Return where in its file something is."""
+    return str(item.name).lstrip("/")
 
 
 def _check(file: Any, what: str) -> None:
@@ -71,14 +81,15 @@ def _check(file: Any, what: str) -> None:
         _check_attributes(group, what)
         for name in group:
             count += 1
-            path = f"{group.name.rstrip('/')}/{name}"
+            path = f"{_name(group)}/{name}".lstrip("/")
             if count > MAX_OBJECTS or depth > MAX_DEPTH:
                 raise FormatError(
-                    f"{what}: has more than {MAX_OBJECTS:,} groups and datasets, or more than "
-                    f"{MAX_DEPTH} groups within each other"
+                    f"has more than {MAX_OBJECTS:,} groups and datasets, or more than "
+                    f"{MAX_DEPTH} groups within each other",
+                    place=what,
                 )
             if not _is_hard(group, name):
-                raise FormatError(f"{what}: {path} is a link to a name, {OTHER_FILES}")
+                raise FormatError(f"{path} is a link to a name, {OTHER_FILES}", place=what)
             item = group[name]
             if isinstance(item, h5py.Dataset):
                 _check_dataset(item, what)
@@ -88,7 +99,7 @@ def _check(file: Any, what: str) -> None:
                     seen.add(at)
                     groups.append((item, depth + 1))
             else:
-                raise FormatError(f"{what}: {path} is no group and no dataset")
+                raise FormatError(f"{path} is no group and no dataset", place=what)
 
 
 def _is_hard(group: Any, name: str) -> bool:
@@ -103,18 +114,19 @@ def _is_hard(group: Any, name: str) -> bool:
 def _check_dataset(dataset: Any, what: str) -> None:
     # Before its shape is asked for, which opens the files of a virtual dataset.
     if dataset.is_virtual:
-        raise FormatError(f"{what}: {dataset.name} is a virtual dataset, {OTHER_FILES}")
+        raise FormatError(f"{_name(dataset)} is a virtual dataset, {OTHER_FILES}", place=what)
     if dataset.external is not None:
-        raise FormatError(f"{what}: {dataset.name} has external storage, {OTHER_FILES}")
+        raise FormatError(f"{_name(dataset)} has external storage, {OTHER_FILES}", place=what)
     plist = dataset.id.get_create_plist()
     filters = {plist.get_filter(place)[0] for place in range(plist.get_nfilters())}
     if not filters <= FILTERS:
         raise FormatError(
-            f"{what}: {dataset.name} is compressed by a filter that is not HDF5's own; write it "
-            "with gzip"
+            f"{_name(dataset)} is compressed by a filter that is not HDF5's own; write it with "
+            "gzip",
+            place=what,
         )
     if _refers(dataset.id.get_type()):
-        raise FormatError(f"{what}: {dataset.name} holds references, which are not followed")
+        raise FormatError(f"{_name(dataset)} holds references, which are not followed", place=what)
     _check_attributes(dataset, what)
 
 
@@ -123,7 +135,7 @@ def _check_attributes(item: Any, what: str) -> None:
     for name in item.attrs:
         kind = item.attrs.get_id(name).get_type()
         if name not in ("DIMENSION_LIST", "REFERENCE_LIST") and _refers(kind):
-            raise FormatError(f"{what}: the attribute {name} of {item.name} holds references")
+            raise FormatError(f"the attribute {name} of {_name(item)} holds references", place=what)
 
 
 def _refers(kind: Any) -> bool:

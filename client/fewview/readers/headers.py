@@ -66,6 +66,8 @@ _SPELLINGS = tuple(
         (r"(?P<name>.*[a-z0-9])(?P<axis>[XYZ]|Score|Confidence|Visibility|Likelihood)", 0),  # noseX
     )
 )
+_BETWEEN = "._ :/-"
+_RUN = re.compile(r"[._ -]+")
 _UNIT = re.compile(r"\s*[\[(](px|pix|pixels?)[\])]$", re.IGNORECASE)
 _CAMERA = re.compile(r"(?<![^\W_])((?:cam|camera|view|port)[._ -]?\d+)(?![^\W_])", re.IGNORECASE)
 
@@ -198,11 +200,14 @@ def parted(labels: dict[int, Label]) -> dict[int, Label]:
         each = found[place]
         if each is not None:
             name = label.keypoint[: each.start()] + " " + label.keypoint[each.end() :]
-            name = re.sub(r"^[._ :/-]+|[._ :/-]+$", "", name) or label.keypoint
-            out[place] = label._replace(
-                camera=plain(each[1]), keypoint=re.sub(r"[._ -]+ [._ -]*| [._ -]+", "_", name)
-            )
+            name = name.strip(_BETWEEN) or label.keypoint
+            out[place] = label._replace(camera=plain(each[1]), keypoint=_RUN.sub(_closed, name))
     return out
+
+
+def _closed(run: re.Match[str]) -> str:
+    """Return what stands for the separators about a hole, where a camera was cut out."""
+    return "_" if " " in run[0] and len(run[0]) > 1 else run[0]
 
 
 def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
@@ -223,7 +228,7 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
         role, _, name = (text.strip() for text in part.partition("="))
         if not name or (role not in ROLES and role not in AXES):
             raise FormatError(
-                f"columns: {part!r} is not ROLE=COLUMN, where the role is {', '.join(AXES)}, "
+                f"{part!r} is not ROLE=COLUMN, where the role is {', '.join(AXES)}, "
                 f"{', '.join(ROLES)}",
                 option="columns",
             )
@@ -250,4 +255,4 @@ def mapped_columns(header: Sequence[str], mapping: str) -> Columns:
 
 def _missing(part: str, header: Sequence[str]) -> str:
     shown = ", ".join(map(repr, header[:8])) + (", ..." if len(header) > 8 else "")
-    return f"columns: no column matches {part.strip()!r}; there are {shown}"
+    return f"no column matches {part.strip()!r}; there are {shown}"

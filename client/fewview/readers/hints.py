@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from fewview.errors import FormatError, in_part
 from fewview.readers.headers import plain
 from fewview.readers.separated import cells, table_of
 from fewview.readers.sources import HDF5, NUMPY, ZIP, Source
@@ -11,6 +12,10 @@ from fewview.readers.sources import HDF5, NUMPY, ZIP, Source
 NUMERIC = frozenset("0123456789.eE+- \t,;|")
 MOST_AXES = 4  # columns of a keypoint
 FEWEST_COLUMNS = 3  # of a table of keypoints
+LONGEST_LINE, LONGEST_CELL = 10_000, 100  # characters that are looked at, and that are shown
+_WORDS = re.compile(r"\w+")
+_NAME_FIRST = re.compile(r"(?P<name>.+)(?P<between>[._ :-])(?P<word>.+)")
+_WORD_FIRST = re.compile(r"(?P<word>.+)(?P<between>[._ :-])(?P<name>.+)")
 _DO = "Export the detections of each camera as one of the formats of docs/files.md, or as plain CSV"
 _3D = "holds 3D points; Fewview makes 3D from the 2D keypoints of each camera: give those"
 _VIDEO = "a video; run a detector on it first, and give what it writes"
@@ -29,8 +34,8 @@ _BEGINNINGS = {
 }
 
 
-def looks_like(source: Source, known: Mapping[str, str]) -> str:
-    """Return a sentence for the error: what this is taken for, and what would be read.
+def unknown(source: Source, known: Mapping[str, str]) -> FormatError:
+    """Return the error of a file of no known format: what it is taken for, what would be read.
 
     Parameters
     ----------
@@ -39,37 +44,47 @@ def looks_like(source: Source, known: Mapping[str, str]) -> str:
     """
     begins = (hint for magic, hint in _BEGINNINGS.items() if source.begins(magic))
     if (hint := next(begins, None)) is not None:
-        return hint
-    if source.begins(HDF5):
-        return _of_hdf5(set(source.hdf5))
-    if source.json is not None:
-        return _of_json(source.json) + _nearest(_keys(source.json), known)
-    if source.lines:
+        return FormatError(hint, place=source)
+    if not source.begins(HDF5) and source.json is None and source.lines:
         return _of_text(source, known)
-    if source.head[4:8] == b"ftyp":
-        return _VIDEO
-    return f"not a format that is known. {_DO}" if source.head else f"an empty file. {_DO}"
+    if source.begins(HDF5):
+        hint = _of_hdf5(set(source.hdf5))
+    elif source.json is not None:
+        hint = _of_json(source.json) + _nearest(_keys(source.json), known)
+    elif source.head[4:8] == b"ftyp":
+        hint = _VIDEO
+    else:
+        hint = f"not a format that is known. {_DO}" if source.head else f"an empty file. {_DO}"
+    return FormatError(hint, place=source)
 
 
-def _of_text(source: Source, known: Mapping[str, str]) -> str:
+def _of_text(source: Source, known: Mapping[str, str]) -> FormatError:
     if source.is_toml:
-        return f"a TOML file, such as of a calibration, without keypoints. {_DO}"
+        return FormatError(
+            f"a TOML file, such as of a calibration, without keypoints. {_DO}", place=source
+        )
+    first = source.lines[0][:LONGEST_LINE]
     if NUMERIC.issuperset(source.lines[0]):
-        return (
+        return FormatError(
             "a table of numbers without a header; write the names of its columns above it, such as "
-            "nose_x,nose_y,tail_x,tail_y"
+            "nose_x,nose_y,tail_x,tail_y",
+            place=source,
         )
     table = table_of(source)
     if table is None or table.width < FEWEST_COLUMNS:
-        hint = f"text that begins with {source.lines[0][:60]!r}, no table of keypoints. {_DO}"
-        return hint + _nearest(re.findall(r"\w+", source.lines[0]), known)
-    header = cells(source.lines[0], table.separator)
-    shown = ", ".join(map(repr, header[:6])) + (", ..." if len(header) > 6 else "")
+        hint = f"text that begins with {first[:60]!r}, no table of keypoints. {_DO}"
+        return FormatError(hint + _nearest(_WORDS.findall(first), known), place=source)
+    header = cells(first, table.separator)
+    shown = ", ".join(repr(in_part(cell, LONGEST_CELL)) for cell in header[:6])
+    shown += ", ..." if len(header) > 6 else ""
+    nearest = _nearest([word for cell in header for word in _WORDS.findall(cell)], known)
     x, y = _templates(header) or ("{}_x", "{}_y")
-    return (
-        f"a table whose columns {shown} name no x and y. {_DO}, or name the columns' contents, "
-        f"{{}} for the keypoint: fewview convert {source.path.name} --columns 'x={x},y={y}'"
-        + _nearest([word for cell in header for word in re.findall(r"\w+", cell)], known)
+    return FormatError(
+        f"a table whose columns {shown} name no x and y. {_DO}{nearest}. Or name the columns' "
+        "contents, {} for the keypoint",
+        place=source,
+        option="columns",
+        remedy=f"x={x},y={y}",
     )
 
 
@@ -80,10 +95,10 @@ def _templates(header: Sequence[str]) -> tuple[str, str] | None:
     """
     possible = []
     for split, whole in (
-        (r"(?P<name>.+)(?P<between>[._ :-])(?P<word>.+)", "{{}}{between}{word}"),
-        (r"(?P<word>.+)(?P<between>[._ :-])(?P<name>.+)", "{word}{between}{{}}"),
+        (_NAME_FIRST, "{{}}{between}{word}"),
+        (_WORD_FIRST, "{word}{between}{{}}"),
     ):
-        found = [each for cell in header if (each := re.fullmatch(split, cell))]
+        found = [each for cell in header if (each := split.fullmatch(cell))]
         words = list(dict.fromkeys(each["word"] for each in found))
         names = {each["name"] for each in found}
         if 2 <= len(words) <= MOST_AXES and len(words) * len(names) == len(found):
@@ -114,14 +129,17 @@ def _keys(content: Any, depth: int = 4) -> Iterator[str]:
 def _of_hdf5(names: set[str]) -> str:
     if names == {"tracks"}:
         return f"HDF5 of SLEAP-Anipose: it {_3D}"
-    shown = ", ".join(sorted(names)[:6]) or "nothing"
+    shown = _shown(sorted(names))
     return f"HDF5 that holds {shown}, neither of DeepLabCut, Anipose nor SLEAP. {_DO}"
+
+
+def _shown(names: Sequence[str]) -> str:
+    return ", ".join(in_part(str(name), LONGEST_CELL) for name in names[:6]) or "nothing"
 
 
 def _of_json(content: Any) -> str:
     if isinstance(content, dict):
-        shown = ", ".join(list(map(str, content))[:6]) or "nothing"
-        return f"JSON with {shown}, no known layout of keypoints. {_DO}"
+        return f"JSON with {_shown(list(content))}, no known layout of keypoints. {_DO}"
     if content and isinstance(content[0], dict) and "bbox" in content[0]:
         return "JSON of boxes without keypoints; a pose estimator must follow the detector"
     return f"a JSON list, no known layout of keypoints. {_DO}"

@@ -133,8 +133,9 @@ def points_of(person: Any, what: str, *, y_first: bool = False) -> Float32 | Non
     values = _array(points, scores)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or (scores and values.shape[1] == 3):
         raise FormatError(
-            f"{what}: keypoints of the shape {values.shape} are not 2D; give those of the 2D "
-            "estimator alone"
+            f"keypoints of the shape {values.shape} are not 2D; give those of the 2D "
+            "estimator alone",
+            place=what,
         )
     if y_first:
         values = values[:, [1, 0, *range(2, values.shape[1])]]

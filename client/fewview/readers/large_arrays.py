@@ -138,6 +138,6 @@ def _file() -> Iterator[IO[bytes]]:
         if error.errno == errno.ENOMEM:
             raise MemoryError(str(error)) from error
         raise FormatError(
-            f"{gettempdir()}: no room for what is read ({error.strerror or error}); TMPDIR can "
-            "name another folder"
+            f"no room for what is read ({error.strerror or error}); TMPDIR can name another folder",
+            place=gettempdir(),
         ) from error

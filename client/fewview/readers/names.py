@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import PurePath
 
 _DIGITS = re.compile(r"\d+")
-_LAST_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+_LAST_NUMBER = re.compile(r"(?<!\d)(\d++)(?=\D*$)")
 _SEPARATORS = re.compile(r"([_.\- /\\]+)")
 
 

@@ -30,7 +30,7 @@ def read_table(source: Source) -> Table:
     """
     name = next((name for name, of_pandas in source.hdf5.items() if of_pandas), None)
     if name is None:
-        raise FormatError(f"{source}: holds no table of pandas")
+        raise FormatError("holds no table of pandas", place=source)
     try:
         with hdf5.opened(source.path) as file:
             group = file[name]
@@ -40,7 +40,9 @@ def read_table(source: Source) -> Table:
     except (OSError, KeyError, IndexError, ValueError, RuntimeError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{source}: a table of pandas that cannot be read ({error})") from error
+        raise FormatError(
+            f"a table of pandas that cannot be read ({error})", place=source
+        ) from error
 
 
 def _fixed(group: Any, what: str) -> Table:

@@ -49,9 +49,7 @@ def pick(views: Sequence[View], person: Person | Sequence[Person]) -> tuple[list
         person = [part.strip() for part in person.split(",")]
     if not isinstance(person, str | int):
         if len(person) != len(views):
-            raise FormatError(
-                f"person: {len(person)} were named for {len(views)} cameras", option="person"
-            )
+            raise FormatError(f"{len(person)} were named for {len(views)} cameras", option="person")
         picked = [pick([view], one) for view, one in zip(views, person, strict=True)]
         return [view for (view,), _ in picked], [note for _, notes in picked for note in notes]
     placed = any(view.people is not None and len(view.people) > 1 for view in views)
@@ -156,8 +154,9 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
     for view in views:
         if view.people is None and view.keypoints.shape[1] > MAX_PEOPLE:
             raise FormatError(
-                f"{view.name}: {view.keypoints.shape[1]:,} people in one frame are more than the "
-                f"{MAX_PEOPLE} that are followed; have the detector give the surest alone"
+                f"{view.keypoints.shape[1]:,} people in one frame are more than the "
+                f"{MAX_PEOPLE} that are followed; have the detector give the surest alone",
+                place=view.name,
             )
     tracks = tracks_of(views)
     if len({view.keypoints.shape[2] for view in views}) == 1:
@@ -169,7 +168,7 @@ def _matched(views: Sequence[View], person: Person) -> tuple[list[View], list[st
         return _by_name(views, person)
     if person != "auto" and not str(person).isdigit():
         raise FormatError(
-            f"person {person!r}: people have no names there; choose by a number", option="person"
+            f"{person!r}: people have no names there; choose by a number", option="person"
         )
     number = 0 if person == "auto" else int(person)
     if number >= len(people):

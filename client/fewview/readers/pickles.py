@@ -32,9 +32,11 @@ def load(data: bytes, what: str) -> Any:
     try:
         return _plain(_Unpickler(io.BytesIO(data)).load())
     except FormatError as error:
-        raise FormatError(f"{what}: {error}") from None
+        raise FormatError(f"{error}", place=what) from None
     except Exception as error:  # noqa: BLE001 (a broken pickle raises anything)
-        raise FormatError(f"{what}: a broken pickle ({type(error).__name__}: {error})") from None
+        raise FormatError(
+            f"a broken pickle ({type(error).__name__}: {error})", place=what
+        ) from None
 
 
 class _Kind:

@@ -213,12 +213,12 @@ def _sized(
         if share and size is None
     ]
     if unknown:
-        each = ",".join(f"{name}=WIDTHxHEIGHT" for name in unknown)
         raise FormatError(
-            f"{', '.join(unknown)}: coordinates are shares of the image's width and height, and "
-            "its size is not in the file; give image_size='WIDTHxHEIGHT' for all cameras, or "
-            f"'{each}' (--image-size)",
+            "coordinates are shares of the image's width and height, and its size is not in the "
+            "file",
+            place=", ".join(unknown),
             option="image_size",
+            remedy=",".join(f"{name}=WIDTHxHEIGHT" for name in unknown),
         )
     out = []
     for view, size, share in zip(views, sizes, shares, strict=True):
@@ -255,8 +255,9 @@ def _are_shares(view: View) -> bool:
         return False
     if least < -MIDDLE and np.median(_there(view.keypoints)) < MIDDLE:
         raise FormatError(
-            f"{view.name}: coordinates lie between -1 and 1, which are no pixels: write pixels "
-            "(OpenPose: --keypoint_scale 0)"
+            "coordinates lie between -1 and 1, which are no pixels: write pixels "
+            "(OpenPose: --keypoint_scale 0)",
+            place=view.name,
         )
     return True
 

@@ -24,7 +24,7 @@ from fewview.readers.formats import (
     trc,
     yolo,
 )
-from fewview.readers.hints import looks_like
+from fewview.readers.hints import unknown
 from fewview.readers.sources import Source
 from fewview.readers.views import View
 
@@ -135,13 +135,14 @@ def views_of(
     """
     if untrusted and known.trusting:
         raise FormatError(
-            f"{source}: {known.title} is read on your own computer alone, as {known.trusting}: "
-            f"`fewview convert {source.path.name} -o capture.npz`, and send that"
+            f"{known.title} is read on your own computer alone, as {known.trusting}: "
+            f"`fewview convert {source.path.name} -o capture.npz`, and send that",
+            place=source,
         )
     with _broken(source, lambda: f"not as {known.title} should be{_instead(source, known)}"):
         views = known.read(source) if columns is None else table.read(source, columns)
     if not all(len(view.numbers) for view in views):
-        raise FormatError(f"{source}: {known.title} without a single frame")
+        raise FormatError(f"{known.title} without a single frame", place=source)
     return views
 
 
@@ -160,9 +161,11 @@ def _broken(source: Source, description: Callable[[], str]) -> Iterator[None]:
     except FormatError:
         raise
     except MemoryError as error:
-        raise FormatError(f"{source}: needs more memory than there is; part it") from error
+        raise FormatError("needs more memory than there is; part it", place=source) from error
     except Exception as error:
-        raise FormatError(f"{source}: {description()} ({type(error).__name__}: {error})") from error
+        raise FormatError(
+            f"{description()} ({type(error).__name__}: {error})", place=source
+        ) from error
 
 
 def find(source: Source, name: str | None) -> Format:
@@ -177,10 +180,7 @@ def find(source: Source, name: str | None) -> Format:
         found = detect(source)
         if found is None:
             with _broken(source, lambda: "a broken file"):
-                description = looks_like(
-                    source, {each.title: each.words for each in FORMATS if each.words}
-                )
-                raise FormatError(f"{source}: {description}")
+                raise unknown(source, {each.title: each.words for each in FORMATS if each.words})
         return found
     for each in FORMATS:
         if each.name == name:

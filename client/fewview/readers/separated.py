@@ -20,6 +20,7 @@ NOTES = ("#", "%", "//")
 FEWEST_CELLS = 3  # of a line of keypoints
 UNITS = {"px", "pixel", "pixels", "s", "ms", "frames", "frame", "-", "1", "%"}
 CHUNK = 4096  # rows
+_TITLE = re.compile(r"[A-Za-z_ ]+")
 COORDINATE_ROW = re.compile(
     r"coords|x|y|z|likelihood|confidence|conf|score|prob(ability)?|visibility"
 )
@@ -134,7 +135,7 @@ def _names_coordinates(row: Sequence[str]) -> bool:
 
 def _names_index(row: Sequence[str]) -> bool:
     """Whether a row has a word in its first cell, and nothing in the others."""
-    return bool(row[0]) and not any(row[1:]) and re.fullmatch(r"[A-Za-z_ ]+", row[0]) is not None
+    return bool(row[0]) and not any(row[1:]) and _TITLE.fullmatch(row[0]) is not None
 
 
 def _is_number(cell: str) -> bool:
@@ -184,7 +185,7 @@ def read_columns(
     except (ValueError, csv.Error) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{table.source}: not a table of numbers ({error})") from error
+        raise FormatError(f"not a table of numbers ({error})", place=table.source) from error
     return (
         [Words(tuple(w), np.array(c, np.int64)) for w, c in zip(known, codes, strict=True)],
         values,
@@ -273,8 +274,8 @@ def _rows(lines: Iterable[str], table: Table, *, ragged: bool, skip: bool) -> It
             row = row + [""] * (width - len(row))
         if len(row) != width:
             raise FormatError(
-                f"{table.source}: has rows of another length than the header, which has {width} "
-                "cells"
+                f"has rows of another length than the header, which has {width} cells",
+                place=table.source,
             )
         yield from ([""] * width for _ in range(blank))
         blank = 0

@@ -24,6 +24,7 @@ FEWEST_NUMBERS = 9  # of a person: class, box, two keypoints
 LOOKED_INTO = 1000  # files of a folder, of which the first may show no person
 # Of a project's videos SLEAP calls them `labels.v001.000_cam1.analysis.h5`.
 OF_SLEAP = re.compile(r"\.\d{3}_(.+)\.analysis\.(?:h5|csv)$", re.IGNORECASE)
+_HEADING = re.compile(r"\[[A-Za-z_][\w.]*\]")
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
 
 
@@ -60,7 +61,7 @@ class Source:
             with (self.frames[0] if self.frames else self.path).open("rb") as file:
                 return file.read(HEAD)
         except OSError as error:
-            raise FormatError(f"{self}: {error.strerror or error}") from error
+            raise FormatError(f"{error.strerror or error}", place=self) from error
 
     def begins(self, magic: bytes) -> bool:
         """Whether a file (no frames) begins with these bytes."""
@@ -70,7 +71,7 @@ class Source:
     def is_toml(self) -> bool:
         """Whether it begins with the heading of a table of TOML, as calibrations do."""
         first = next((line.strip() for line in self.lines if line.strip()), "")
-        return re.fullmatch(r"\[[A-Za-z_][\w.]*\]", first) is not None
+        return _HEADING.fullmatch(first) is not None
 
     @cached_property
     def json(self) -> Any:
@@ -130,7 +131,7 @@ class Source:
         """
         check_size(self.path, MAX_TEXT)
         if self.encoding is None:
-            raise FormatError(f"{self}: cannot be read as text")
+            raise FormatError("cannot be read as text", place=self)
         return lines_of(self.path, self.encoding)
 
 
@@ -146,7 +147,7 @@ def load_json(path: Path, limit: int) -> Any:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise FormatError(f"{path}: {error.strerror or error}") from error
+        raise FormatError(f"{error.strerror or error}", place=path) from error
     try:
         try:
             text = content.decode(json.detect_encoding(content))
@@ -159,7 +160,7 @@ def load_json(path: Path, limit: int) -> Any:
                 raise
             return [json.loads(line) for line in text.splitlines() if line.strip()]
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: broken JSON ({error})") from error
+        raise FormatError(f"broken JSON ({error})", place=path) from error
 
 
 def check_size(path: Path, limit: int) -> None:
@@ -167,8 +168,9 @@ def check_size(path: Path, limit: int) -> None:
     size = path.stat().st_size
     if size > limit:
         raise FormatError(
-            f"{path}: {size / 2**20:,.0f} MiB are more than the {limit / 2**20:,.0f} MiB that are "
-            "read of such a file; write it in parts, or as npz"
+            f"{size / 2**20:,.0f} MiB are more than the {limit / 2**20:,.0f} MiB that are "
+            "read of such a file; write it in parts, or as npz",
+            place=path,
         )
 
 
@@ -190,7 +192,7 @@ def frames_among(paths: Sequence[Path], folder: Path) -> list[Source]:
     for suffix, is_one in ((".json", _is_json_frame), (".txt", _is_yolo_frame)):
         files = [path for path in paths if path.suffix.lower() == suffix]
         if len(files) > MAX_FRAMES:
-            raise FormatError(f"{folder}: {len(files):,} files are too many")
+            raise FormatError(f"{len(files):,} files are too many", place=folder)
         files.sort(key=lambda path: natural(path.name))
         first = files[:LOOKED_INTO]
         if not files or any(path.stat().st_size > MAX_FRAME for path in first) or not is_one(first):

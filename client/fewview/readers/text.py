@@ -59,8 +59,9 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
             while line := file.readline(LONGEST_LINE):
                 if len(line) == LONGEST_LINE:
                     raise FormatError(
-                        f"{path}: a line has more than {LONGEST_LINE:,} characters, so this is no "
-                        "table of keypoints"
+                        f"a line has more than {LONGEST_LINE:,} characters, so this is no "
+                        "table of keypoints",
+                        place=path,
                     )
                 if line.strip():
                     line = line.rstrip("\n")
@@ -68,7 +69,7 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
                         yield line
                     first = False
     except (OSError, UnicodeError) as error:
-        raise FormatError(f"{path}: cannot be read as text ({error})") from error
+        raise FormatError(f"cannot be read as text ({error})", place=path) from error
 
 
 def given_separator(line: str) -> str | None:

@@ -195,8 +195,10 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
             clocks.append((view.numbers - begin) / rate)
         else:
             raise FormatError(
-                f"{view.name}: has no times to align by; give fps (--fps), or align='index'",
+                "has no times to align by",
+                place=view.name,
                 option="fps",
+                remedy="RATE",
             )
     if any(np.any(np.diff(clock) <= 0) for clock in clocks):
         raise FormatError("times must rise from frame to frame to align by them", option="align")
@@ -214,9 +216,7 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
         if not near.all():
             notes.append(f"{view.name}: {int((~near).sum())} moments without a frame are gaps")
     if not (rows >= 0).any(0).all():
-        raise FormatError(
-            "the cameras' times do not overlap; give align='index' (--align index)", option="align"
-        )
+        raise FormatError("the cameras' times do not overlap", option="align", remedy="index")
     return Together(rows, np.arange(len(reference)), reference - reference[0], None)
 
 

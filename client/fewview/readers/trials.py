@@ -62,7 +62,7 @@ def of_one_trial(names: Sequence[str], trial: str | None) -> tuple[list[int], li
     if parted is None:
         if trial is not None:
             raise FormatError(
-                f"trial {trial!r}: the files are of one trial, a camera each: {_shown(names)}",
+                f"{trial!r}: the files are of one trial, a camera each: {_shown(names)}",
                 option="trial",
             )
         return list(range(len(names))), list(names), ""
@@ -75,9 +75,10 @@ def of_one_trial(names: Sequence[str], trial: str | None) -> tuple[list[int], li
     if trial is None:
         raise FormatError(
             f"the files are of {len(known)} trials or detectors ({_shown(known)}) of the same "
-            f"cameras ({_shown(sorted(set(cameras), key=natural))}): name one, as in "
-            f"trial={known[0]!r} (--trial {known[0]}), or give its files alone",
+            f"cameras ({_shown(sorted(set(cameras), key=natural))}): name one, or give its files "
+            "alone",
             option="trial",
+            remedy=known[0],
         )
     wanted = {called[i] for i, full in enumerate(trials) if trial in (called[i], full)}
     wanted = wanted or {each for each in known if trial in _WORDS.findall(each)}

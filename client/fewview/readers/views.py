@@ -83,10 +83,11 @@ def packed(frames: Detections, what: str) -> tuple[Float32, Float32]:
     """
     counts = {len(person) for people in frames for person in people if person is not None}
     if not counts:
-        raise FormatError(f"{what}: nobody was detected in any of its {len(frames)} frames")
+        raise FormatError(f"nobody was detected in any of its {len(frames)} frames", place=what)
     if len(counts) > 1:
         raise FormatError(
-            f"{what}: people have {' or '.join(map(str, sorted(counts)))} keypoints; write one kind"
+            f"people have {' or '.join(map(str, sorted(counts)))} keypoints; write one kind",
+            place=what,
         )
     shape = (len(frames), max(len(people) for people in frames), counts.pop(), 3)
     bounded(shape, what)
@@ -102,7 +103,9 @@ def bounded(shape: Sequence[int], what: str) -> None:
     """Refuse arrays that are too large to be keypoints."""
     size = int(np.prod(np.array(shape, float)))
     if size > MAX_NUMBERS:
-        raise FormatError(f"{what}: {size:,} numbers {tuple(shape)} are too many; cut it in parts")
+        raise FormatError(
+            f"{size:,} numbers {tuple(shape)} are too many; cut it in parts", place=what
+        )
 
 
 def with_keypoints(view: View, index: Sequence[int] | NDArray[np.intp]) -> View:

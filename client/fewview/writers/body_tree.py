@@ -12,6 +12,7 @@ import numpy as np
 
 from fewview.animation import Animation
 
+_WORDS = re.compile(r"[A-Z]?[a-z]+\d*|[A-Z]+(?![a-z])\d*|\d+")
 HIPS = ("hips", "pelvis", "mid_hip", "hip", "root")
 NECK = ("neck", "thorax")
 # Of each keypoint those that it may hang on, the first that is there; * is its side.
@@ -91,6 +92,6 @@ def _parents(name: str) -> Iterator[str]:
 
 def _usual(name: str) -> str:
     """Return a name such as ``LBigToe`` or ``Left Big Toe`` as ``left_big_toe``."""
-    words: Sequence[str] = re.findall(r"[A-Z]?[a-z]+\d*|[A-Z]+(?![a-z])\d*|\d+", name)
+    words: Sequence[str] = _WORDS.findall(name)
     words = [{"L": "left", "R": "right"}.get(word, word.lower()) for word in words]
     return "_".join(words)

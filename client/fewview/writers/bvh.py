@@ -30,6 +30,7 @@ from fewview.writers.numbers import evened
 
 Float64 = NDArray[np.float64]
 
+_BLANKS = re.compile(r"\s+")
 ROOT = re.compile(r"pelvis|mid_?hip|hips|root|hip", re.IGNORECASE)
 ROTATION = "Zrotation Xrotation Yrotation"
 
@@ -44,7 +45,7 @@ def write(path: Path, animation: Animation) -> None:
         seen, or names are the same without their blanks.
     """
     animation = with_body_tree(evened(animation, "BVH"))
-    names = [re.sub(r"\s+", "_", name.strip()) or "_" for name in animation.names]
+    names = [_BLANKS.sub("_", name.strip()) or "_" for name in animation.names]
     if len(set(names)) < len(names):
         raise FormatError("BVH has no blanks in names, and without them some are the same")
     if not animation.seen.any():

@@ -88,7 +88,7 @@ def test_all_commands_that_read_take_the_same_options(command: str, tmp_path: Pa
     options = ["--format=deeplabcut-csv", "--person=auto", "--min-confidence=0.1", "--align=index"]
     for wrong, message in (
         (["--image-size=big"], "expected WIDTHxHEIGHT"),
-        (["--fps=-1"], "fps is -1"),
+        (["--fps=-1"], "fps: '-1' is not above 0"),
         (["--skeleton=cat", "--format=deeplabcut-csv"], "no skeleton"),
     ):
         shown = CliRunner().invoke(app, [command, *words, str(path), *out, *options, *wrong])

@@ -188,7 +188,7 @@ def test_columns_are_mapped_as_was_asked(tmp_path: Path) -> None:
     rows = [header, *wide(".", "")[1:]]
     path = written(tmp_path / "a.csv", rows, ";")
     with pytest.raises(
-        FormatError, match=r"plain CSV.*--columns 'x=Spalte von \{\},y=Zeile von \{\}"
+        FormatError, match=r"plain CSV.*columns='x=Spalte von \{\},y=Zeile von \{\}"
     ):
         fewview.read(path)
     mapping = "x=Spalte von {},y=Zeile von {},confidence=sicher von {},frame=No"

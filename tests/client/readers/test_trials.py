@@ -44,7 +44,7 @@ GRIDS = {
 @pytest.mark.parametrize("grid", GRIDS)
 def test_trials_are_asked_for(tmp_path: Path, grid: str) -> None:
     lay_out(tmp_path, *GRIDS[grid])
-    with pytest.raises(FormatError, match=r"2 trials or detectors \(t1, t2\).*--trial t1"):
+    with pytest.raises(FormatError, match=r"2 trials or detectors \(t1, t2\).*give trial='t1'"):
         fewview.read(tmp_path)
     capture = fewview.read(tmp_path, trial="t2")
     assert capture.view_names == ("cam1", "cam2", "cam3")[: len(GRIDS[grid]) - 2]

@@ -172,7 +172,7 @@ def test_slow_readers_keep_nobody_waiting(
     settings: Settings, model: str, tmp_path: Path, capture: SyntheticCapture
 ) -> None:
     """Two read beside each other leave places; beyond these, nobody waits without end."""
-    read, network = b"reading_apart", b"onnx_file"
+    read, network = b"reading_child", b"onnx_file"
     values = files.walk(12).reshape(12, -1)
     table = files.dlc_csv(tmp_path / "a", files.columns(files.NAMES), values).read_bytes()
     forms = [("files", (f"cam{view}.csv", table)) for view in range(2)]

@@ -31,15 +31,16 @@ def read(source: Source) -> list[View]:
         labels = [str(label) for label in content["parameters"]["POINT"]["LABELS"]["value"]]
         rate = float(content["parameters"]["POINT"]["RATE"]["value"][0])
     except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
-        raise FormatError(f"{source}: a C3D file that cannot be read ({error})") from error
+        raise FormatError(f"a C3D file that cannot be read ({error})", place=source) from error
     _, count, frames = points.shape
     if not count or not frames:
-        raise FormatError(f"{source}: a C3D file without points")
+        raise FormatError("a C3D file without points", place=source)
     z = points[2]
     if np.any(np.isfinite(z) & (z != 0)):
         raise FormatError(
-            f"{source}: a C3D file of 3D points; Fewview makes 3D from the 2D keypoints of each "
-            "camera: give those"
+            "a C3D file of 3D points; Fewview makes 3D from the 2D keypoints of each "
+            "camera: give those",
+            place=source,
         )
     numbers = np.arange(frames)
     return [

@@ -65,7 +65,7 @@ def read(source: Source) -> list[View]:
         if isinstance(error, FormatError):
             raise
         raise FormatError(
-            f"{source}: a COCO file that does not fit together ({error!r})"
+            f"a COCO file that does not fit together ({error!r})", place=source
         ) from error
 
 

@@ -63,7 +63,9 @@ def read_h5(source: Source) -> list[View]:
     """
     columns, levels, values, rows = read_table(source)
     if not columns or len(columns[0]) not in (2, 3, 4):
-        raise FormatError(f"{source}: a table of pandas, its columns are not those of DeepLabCut")
+        raise FormatError(
+            "a table of pandas, its columns are not those of DeepLabCut", place=source
+        )
     texts = [tuple(map(str, column)) for column in columns]
     names = [str(level).lower() for level in levels]
     if not {"bodyparts", "coords"} <= set(names):
@@ -91,7 +93,7 @@ def read_csv(source: Source) -> list[View]:
     """
     table = _stacked(source)
     if table is None:
-        raise FormatError(f"{source}: no table under rows of names and coordinates")
+        raise FormatError("no table under rows of names and coordinates", place=source)
     columns = stacked_columns(table.header)
     # Others, such as `set` of Lightning Pose, need not hold numbers.
     texts, values = read_columns(

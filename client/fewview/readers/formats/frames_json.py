@@ -132,7 +132,7 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{what}: {layout.title} that is broken ({error!r})") from error
+        raise FormatError(f"{layout.title} that is broken ({error!r})", place=what) from error
     keypoints, confidence = packed(detections, what)
     given = [number for number, _ in frames if number is not None]
     numbers = np.arange(len(frames))
@@ -161,7 +161,7 @@ def _frames(source: Source, content: Any) -> list[Frame]:
     for path, image in zip(source.frames, source.frames_json(), strict=True):
         number, people = frame_number(path.name), people_of(image)
         if people is None:
-            raise FormatError(f"{path}: no people of one image")
+            raise FormatError("no people of one image", place=path)
         frames.append((None if number is None else number[1], people))
     return frames
 

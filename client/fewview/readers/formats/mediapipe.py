@@ -44,7 +44,7 @@ def read(source: Source) -> list[View]:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{source}: landmarks without x and y ({error!r})") from error
+        raise FormatError(f"landmarks without x and y ({error!r})", place=source) from error
     keypoints, confidence = packed(people, str(source))
     fields = content if isinstance(content, dict) else {}
     width, height = (fields.get(key, fields.get(f"image_{key}")) for key in ("width", "height"))
@@ -105,7 +105,9 @@ def _ordered(frames: list[list[Person]], source: Source) -> tuple[str, ...] | No
             person.sort(key=lambda point: int(point["id"]))
     for key in ("id", "name"):
         if len({tuple(point.get(key) for point in person) for person in everybody}) > 1:
-            raise FormatError(f"{source}: people have landmarks of unlike {key}; write all of each")
+            raise FormatError(
+                f"people have landmarks of unlike {key}; write all of each", place=source
+            )
     names = [point.get("name") for point in everybody[0]] if everybody else []
     complete = all(isinstance(name, str) for name in names) and len(set(names)) == len(names) > 0
     return tuple(map(str, names)) if complete else None

@@ -43,7 +43,9 @@ def read(source: Source) -> list[View]:
             truth = np.stack([np.asarray(frame["S_GT"], np.float32) for frame in content])
             truth = truth if truth.shape == (len(content), points, 3) else None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FormatError(f"{source}: frames without a `W_GT` of one shape ({error})") from error
+        raise FormatError(
+            f"frames without a `W_GT` of one shape ({error})", place=source
+        ) from error
     return [
         View(
             source.name,

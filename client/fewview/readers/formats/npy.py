@@ -40,26 +40,31 @@ def read(source: Source) -> list[View]:
     try:
         values = np.load(source.path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise FormatError(f"{source}: an .npy file that cannot be read ({error})") from error
+        raise FormatError(f"an .npy file that cannot be read ({error})", place=source) from error
     bounded(values.shape, str(source))
     if (
         values.dtype.kind not in "fiu"
         or values.ndim not in (3, 4)
         or values.shape[-1] not in (2, 3)
     ):
-        raise FormatError(f"{source}: an array {values.shape} is not (views, frames, keypoints, 2)")
+        raise FormatError(
+            f"an array {values.shape} is not (views, frames, keypoints, 2)", place=source
+        )
     array = np.array(values, np.float32)
     views = array if array.ndim == 4 else array[None]
     if len(views) > max(MOST_VIEWS, views.shape[1]):
         raise FormatError(
-            f"{source}: an array {array.shape} would be of {len(views)} views of {views.shape[1]} "
-            "frames; it has to be (views, frames, keypoints, 2): swap its first two axes"
+            f"an array {array.shape} would be of {len(views)} views of {views.shape[1]} "
+            "frames; it has to be (views, frames, keypoints, 2): swap its first two axes",
+            place=source,
         )
     third = views[..., 2] if views.shape[-1] == 3 else None
     notes: tuple[str, ...] = ()
     if third is not None and not (np.nanmin(third) >= 0 and np.nanmax(third) <= SLIGHTLY_ABOVE):
         if array.ndim == 3:
-            raise FormatError(f"{source}: an array {array.shape} holds 3D points, not detections")
+            raise FormatError(
+                f"an array {array.shape} holds 3D points, not detections", place=source
+            )
         third, notes = None, ("the third coordinate is no confidence and was left out",)
     names, edges = _holistic(views.shape[2])
     return [

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.errors import FormatError
+from fewview.readers.budget import take
 from fewview.readers.npy import read_header
 from fewview.readers.sources import ZIP, Source
 from fewview.readers.views import View, bounded
@@ -51,8 +52,9 @@ def read(source: Source) -> list[View]:
     keypoints = arrays["keypoints"]
     if keypoints.dtype.kind not in "fiu" or keypoints.ndim != 4 or keypoints.shape[-1] != 2:
         raise FormatError(
-            f"{source}: `keypoints` is {keypoints.dtype} of shape {keypoints.shape}, not numbers "
-            "(frames, views, keypoints, 2)"
+            f"`keypoints` is {keypoints.dtype} of shape {keypoints.shape}, not numbers "
+            "(frames, views, keypoints, 2)",
+            place=source,
         )
     n, k, p, _ = keypoints.shape
     _check(source, arrays, n, k, p)
@@ -98,12 +100,13 @@ def _arrays(source: Source) -> Arrays:
                 with file.open(f"{name}.npy") as member:
                     header = read_header(name, member)
                     bounded([math.prod(header.shape)], f"{source}: `{name}`")
+                    take(math.prod(header.shape) * header.dtype.itemsize, source)
                 with file.open(f"{name}.npy") as member:
                     found[name] = np.lib.format.read_array(member, allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{source}: an npz file that cannot be read ({error})") from error
+        raise FormatError(f"an npz file that cannot be read ({error})", place=source) from error
     return found
 
 
@@ -122,12 +125,13 @@ def _check(source: Source, arrays: Arrays, n: int, k: int, p: int) -> None:
             array = arrays[name]
             if array.dtype.kind not in kinds or array.shape not in shapes:
                 raise FormatError(
-                    f"{source}: `{name}` is {array.dtype} of shape {array.shape}; {n} frames, {k} "
-                    f"views and {p} keypoints ask for {' or '.join(map(str, shapes))}"
+                    f"`{name}` is {array.dtype} of shape {array.shape}; {n} frames, {k} "
+                    f"views and {p} keypoints ask for {' or '.join(map(str, shapes))}",
+                    place=source,
                 )
     numbers = arrays.get("frame_numbers")
     if numbers is not None and np.any(np.diff(numbers.astype(np.int64)) <= 0):
-        raise FormatError(f"{source}: `frame_numbers` must rise from frame to frame")
+        raise FormatError("`frame_numbers` must rise from frame to frame", place=source)
 
 
 def _edges(arrays: Arrays) -> tuple[tuple[int, int], ...] | None:

@@ -77,7 +77,7 @@ def _has_middle_of_hips(keypoints: Float32) -> bool:
 def _people(content: Any, source: Source) -> list[dict[str, Any]]:
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list) or not all(isinstance(person, dict) for person in people):
-        raise FormatError(f"{source}: one of its files is no frame of OpenPose")
+        raise FormatError("one of its files is no frame of OpenPose", place=source)
     return people
 
 
@@ -93,7 +93,7 @@ def _keypoints(numbers: Any, source: Source) -> Float32 | None:
     try:
         return np.array(numbers, np.float32).reshape(-1, 3)
     except (ValueError, TypeError) as error:
-        raise FormatError(f"{source}: keypoints are no triples of x, y, confidence") from error
+        raise FormatError("keypoints are no triples of x, y, confidence", place=source) from error
 
 
 def _numbers(source: Source, count: int) -> "np.ndarray[Any, np.dtype[np.int64]]":

@@ -48,11 +48,11 @@ def read_analysis(source: Source) -> list[View]:
         tracks = hdf5.values(file["tracks"], what)
         nodes = _texts(file["node_names"], what)
         if tracks.ndim != 4:
-            raise FormatError(f"{source}: `tracks` has the shape {tracks.shape}, of no SLEAP")
+            raise FormatError(f"`tracks` has the shape {tracks.shape}, of no SLEAP", place=source)
         axes = _axes(file, tracks.shape, len(nodes))
         if not axes:
             raise FormatError(
-                f"{source}: `tracks` {tracks.shape} is not of {len(nodes)} nodes in 2D"
+                f"`tracks` {tracks.shape} is not of {len(nodes)} nodes in 2D", place=source
             )
         values = tracks.transpose([axes.index(axis) for axis in AXES])
         scores = hdf5.values(file["point_scores"], what) if "point_scores" in file else None
@@ -60,7 +60,7 @@ def read_analysis(source: Source) -> list[View]:
             left = [axis for axis in axes if axis != "xy"]
             scores = scores.transpose([left.index(axis) for axis in AXES[:3]])
         if scores is not None and scores.shape != values.shape[:3]:
-            raise FormatError(f"{source}: `point_scores` do not fit `tracks`")
+            raise FormatError("`point_scores` do not fit `tracks`", place=source)
         names = _texts(file["track_names"], what) if "track_names" in file else []
         edges = hdf5.values(file["edge_inds"], what) if "edge_inds" in file else np.empty((0, 2))
     people = tuple(names) if len(names) == values.shape[1] else None
@@ -146,7 +146,7 @@ def read_slp(source: Source) -> list[View]:
             )
         )
     if not views:
-        raise FormatError(f"{source}: a SLEAP project without labelled frames")
+        raise FormatError("a SLEAP project without labelled frames", place=source)
     return views
 
 
@@ -206,7 +206,9 @@ def _skeleton(content: Any, source: Source) -> tuple[tuple[str, ...], Edges]:
             if _edge_type(link.get("type", {})) == 1
         )
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise FormatError(f"{source}: a SLEAP project whose skeleton is not understood") from error
+        raise FormatError(
+            "a SLEAP project whose skeleton is not understood", place=source
+        ) from error
     return names, edges
 
 

@@ -24,6 +24,7 @@ from fewview.readers.sources import Source
 from fewview.readers.views import Int64, View, bounded
 
 _OF_ALL = re.compile(r"inst\d+\.|instance[._ ]|track_?|tracking_|score$", re.IGNORECASE)
+_SUFFIX = re.compile(r"\.\w{2,4}$")
 _PLACE = re.compile(r"(inst\d+)\.(.+)")
 
 
@@ -49,16 +50,16 @@ def read(source: Source, mapping: str | None = None) -> list[View]:
     """
     table = table_of(source)
     if table is None:
-        raise FormatError(f"{source}: no table with a header")
+        raise FormatError("no table with a header", place=source)
     header = table.header[0]
     bounded_columns(len(header), str(source))
     columns = columns_of(header) if mapping is None else mapped_columns(header, mapping)
     if not columns.has_points:
-        raise FormatError(f"{source}: has no columns of x and y", option="columns")
+        raise FormatError("has no columns of x and y", place=source, option="columns")
     if columns.roles.keys() & {"person", "keypoint"} and not (
         columns.roles.keys() & {"frame", "time"}
     ):
-        raise FormatError(f"{source}: has no column `frame` or `time` that joins its rows")
+        raise FormatError("has no column `frame` or `time` that joins its rows", place=source)
     return _read(source, table, columns)
 
 
@@ -66,7 +67,7 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
     roles, labels = columns.roles, columns.labels
     texts, values = read_columns(table, texts=list(roles.values()), numbers=list(labels))
     if not len(values):
-        raise FormatError(f"{source}: no rows")
+        raise FormatError("no rows", place=source)
     given = dict(zip(roles, texts, strict=True))
     header = table.header[0]
     known = {*labels, *roles.values()}
@@ -90,7 +91,7 @@ def _read(source: Source, table: Table, columns: Columns) -> list[View]:
 
 def _stem(name: str) -> str:
     """Return the name of a camera, of its video where a path is given."""
-    return re.sub(r"\.\w{2,4}$", "", name.replace("\\", "/").rsplit("/", 1)[-1])
+    return _SUFFIX.sub("", name.replace("\\", "/").rsplit("/", 1)[-1])
 
 
 def _views(
@@ -110,7 +111,7 @@ def _views(
     twice = {people.words[place] for place in own[count > 1] % len(people.words)}
     if any(twice):
         who = next(filter(None, sorted(twice)))
-        raise FormatError(f"{source}: has {who!r} twice in the same frame")
+        raise FormatError(f"has {who!r} twice in the same frame", place=source)
     if twice:  # rows without a person's name
         places = _turns(cell)
         people = Words(tuple(map(str, range(int(places.max()) + 1))), places)
@@ -187,7 +188,7 @@ def _frames(
     else:
         known, frames = np.unique(named, return_inverse=True)
         if np.isnan(known).any():
-            raise FormatError(f"{source}: has a row without a frame")
+            raise FormatError("has a row without a frame", place=source)
         whole = "frame" in given and (known == np.round(known)).all()
         numbers = known.astype(np.int64) if whole else np.arange(len(known))
     if seconds is None:

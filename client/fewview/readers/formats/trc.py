@@ -63,7 +63,8 @@ def read(source: Source) -> list[View]:
     far = (np.any(np.abs(view.keypoints[block]) > METRES) for block in blocks(view.keypoints))
     if header.get("Units") in METRIC and not any(far):
         raise FormatError(
-            f"{source}: a TRC file of metres in a plane; give the one of pixels (Sports2D's *_px_*)"
+            "a TRC file of metres in a plane; give the one of pixels (Sports2D's *_px_*)",
+            place=source,
         )
     rate = _number(header.get("DataRate", ""))
     clock = np.array([_number(word) if word else np.nan for word in times.rows()], float)
@@ -74,7 +75,7 @@ def read(source: Source) -> list[View]:
 def _whole(words: list[str], source: Source) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
     numbers = np.array([int(float(word)) if word else -1 for word in words], np.int64)
     if np.any(np.diff(numbers) <= 0):
-        raise FormatError(f"{source}: its frame numbers do not rise")
+        raise FormatError("its frame numbers do not rise", place=source)
     return numbers
 
 

@@ -62,7 +62,7 @@ def _lines(path: Path) -> list[Float32]:
         if line.strip():
             numbers = yolo_numbers(line)
             if numbers is None:
-                raise FormatError(f"{path}: no line of YOLO's pose labels: {line[:60]!r}")
+                raise FormatError(f"no line of YOLO's pose labels: {line[:60]!r}", place=path)
             lines.append(np.array(numbers, np.float32))
     return lines
 
@@ -94,7 +94,8 @@ def _layout(lines: Sequence[Float32], what: str) -> tuple[int, int]:
             ranks[dimensions, points] = share, points in USUAL, dimensions, points
     if not ranks:
         raise FormatError(
-            f"{what}: lines have {fewest + BOX} to {most + BOX} numbers; write people of one kind"
+            f"lines have {fewest + BOX} to {most + BOX} numbers; write people of one kind",
+            place=what,
         )
     return max(ranks, key=lambda each: ranks[each])
 
