@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import httpx2
+from fewview.client import Client
+from fewview.commands.open_page import page_address
 from fewview.embedded import running_service
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, sync_playwright
@@ -34,10 +36,12 @@ def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     with running_service() as address, sync_playwright() as playwright:
         fit = fitted(address)
+        with Client(address) as client:
+            shown = page_address(client, f"/fits/{fit}?frame={FIRST + FRAMES}")
         browser = playwright.chromium.launch(executable_path=chromium, args=SOFTWARE)
         for scheme in ("light", "dark"):
             page = browser.new_page(viewport=SIZE, color_scheme=scheme)
-            page.goto(f"{address}/#/fits/{fit}?frame={FIRST + FRAMES}")
+            page.goto(shown)
             page.get_by_role("heading", name="Figures").wait_for()
             page.wait_for_timeout(1500)  # the heat map comes when there is nothing else to do
             save_picture(page.screenshot(), PICTURES / f"result-{scheme}.png")

@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import logging
+import os
 import resource
 import socket
 import sys
@@ -34,6 +35,7 @@ from service.http.hosts import Hosts
 from service.http.keyring import Keyring, fixed_callers
 from service.http.leaving import CLOSE_SECONDS, Server
 from service.http.limits import BodyLimit
+from service.http.local_owner import VARIABLE, LocalOwner
 from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
 from service.http.rates import Rates
@@ -68,6 +70,7 @@ from service.resources import (
 from service.resources.events import Events
 from service.resources.integrity import Integrity
 from service.settings import Settings
+from store.access_keys import new_token
 from store.database import Store
 from worker import logs
 from worker.patience import patiently
@@ -125,7 +128,8 @@ BEARER = {
     "type": "http",
     "scheme": "bearer",
     "description": "The token of a key, as `fewview key create` or `POST /keys` gives it. Who "
-    "connects from the service's own machine, as its own user or as root, needs none.",
+    "connects from the service's own machine, as its own user or as root, needs none, unless by a "
+    "browser, which needs that of `GET /keys/page`.",
 }
 
 DESCRIPTION = """
@@ -138,8 +142,14 @@ Keypoints are pixels, x right, y down. Errors are RFC 9457 problem details.
 """
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Return the application; the store and the queue are opened when it starts."""
+def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
+    """Return the application; the store and the queue are opened when it starts.
+
+    Parameters
+    ----------
+    page_key
+        What the page sends for the service's own user; None: a new one.
+    """
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -170,6 +180,7 @@ def create_app(settings: Settings) -> FastAPI:
         dependencies=[Depends(refuse_foreign_changes), Depends(refuse_unknown_query)],
     )
     app.state.settings = settings
+    app.state.local_owner = LocalOwner(settings, page_key or new_token())
     app.state.leaving = asyncio.Event()
     app.state.metrics = Metrics()
     for module in RESOURCES:
@@ -184,7 +195,7 @@ def create_app(settings: Settings) -> FastAPI:
         seconds=settings.request_seconds,
     )
     app.add_middleware(Head)
-    app.add_middleware(Authentication, settings=settings)
+    app.add_middleware(Authentication, settings=settings, owner=app.state.local_owner)
     if settings.allowed_origins:
         app.add_middleware(Faults)
         app.add_middleware(
@@ -308,9 +319,9 @@ def _describe(app: FastAPI) -> None:
     app.openapi = openapi  # type: ignore[method-assign]
 
 
-def make_server(settings: Settings) -> Server:
+def make_server(settings: Settings, page_key: str | None = None) -> Server:
     """Return what serves the application."""
-    app = create_app(settings)
+    app = create_app(settings, page_key)
     connection: Any = partial(
         Connection, seconds=settings.request_seconds, on_refusal=app.state.metrics.refused
     )
@@ -340,12 +351,13 @@ def make_server(settings: Settings) -> Server:
 def main() -> None:
     """Serve the API as a child of ``fewview serve``, with the settings in the environment.
 
-    The arguments are the socket that it listens on, for a restarted API finds the requests that
+    The arguments are the sockets that it listens on, for a restarted API finds the requests that
     came while it was away; the folder in which all processes count, and the name of this one there.
+    The page's key is in the environment, which other users cannot read.
     While records or objects are away it waits for them: one that could not start would be started
     again and again.
     """
-    listener, folder, process = sys.argv[1:]
+    listeners, folder, process = sys.argv[1:]
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # for connections that are kept open
     settings = Settings()
@@ -356,8 +368,8 @@ def main() -> None:
             share(Place(Path(folder), process))
         except OSError:
             logger.exception("Metrics are of this process alone")
-    server = make_server(settings)
-    server.run(sockets=[socket.socket(fileno=int(listener))])
+    server = make_server(settings, os.environ.pop(VARIABLE, None))
+    server.run(sockets=[socket.socket(fileno=int(number)) for number in listeners.split(",")])
 
 
 if __name__ == "__main__":

@@ -63,7 +63,8 @@ def run(command: str, arguments: list[str]) -> None:
 
 def serve(arguments: list[str]) -> None:
     """Run ``fewview serve``."""
-    from service.process.supervisor import StartError, serve  # noqa: PLC0415 (not needed by a worker)
+    from service.process.listening import StartError  # noqa: PLC0415 (not needed by a worker)
+    from service.process.supervisor import serve  # noqa: PLC0415 (the same)
 
     settings = CliApp.run(Serve, cli_args=arguments)
     logs.set_up(settings.log_format)

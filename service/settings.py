@@ -13,6 +13,11 @@ from worker.settings import WorkerSettings, listed
 _ORIGIN = re.compile(r"\A(?:\*|[a-z][a-z0-9+.-]*://[^/?#\s]+)")
 MEBIBYTE = 1024 * 1024
 WILDCARDS = ("", "0.0.0.0", "::")  # noqa: S104 (to listen on all addresses)
+# Addresses that are, or have, one of the two of `localhost`: the other.
+OTHER_OF_LOCALHOST = {
+    **dict.fromkeys(("127.0.0.1", "localhost", "", "0.0.0.0"), "::1"),  # noqa: S104
+    **dict.fromkeys(("::1", "::"), "127.0.0.1"),
+}
 
 
 class Settings(WorkerSettings):
@@ -34,7 +39,7 @@ class Settings(WorkerSettings):
     trust_local: bool = Field(
         True,
         description="Whether requests without a key are allowed to processes of this machine that "
-        "run as the user of the service, or as root.",
+        "run as the user of the service, or as root; to their browsers with the page's own key.",
     )
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     cors_origins: str = Field(
@@ -168,6 +173,12 @@ class Settings(WorkerSettings):
         if self.host in WILDCARDS:
             return "[::1]" if self.host == "::" else "127.0.0.1"
         return f"[{self.host}]" if ":" in self.host else self.host
+
+    @property
+    def addresses(self) -> list[str]:
+        """The addresses to listen on: where one is what `localhost` names, both that it names."""
+        other = OTHER_OF_LOCALHOST.get(self.host.lower())
+        return [self.host] if other is None else [self.host, other]
 
     @property
     def allowed_origins(self) -> list[str]:

@@ -13,6 +13,7 @@ from fewview.commands.export import export
 from fewview.commands.fit import fit
 from fewview.commands.labels import labels
 from fewview.commands.lift import lift
+from fewview.commands.open_page import open_page
 from fewview.commands.run import run
 from fewview.commands.stored import COLUMNS, commands_of
 from fewview.commands.upload import upload
@@ -67,6 +68,7 @@ for name, words in OF_SERVER.items():
     app.command(name, help=words, context_settings=ELSEWHERE)(_run_of_server)
 for command in (run, convert, upload, fit, cameras, lift, export, labels, evaluate):
     app.command()(command)
+app.command("open")(open_page)
 for kind in COLUMNS:
     app.add_typer(commands_of(kind), name=kind)
 

@@ -2,7 +2,7 @@
 
 import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
-import { keepKey, onKeyNeeded } from "./api/key.ts";
+import { keepKey, keyIn, onKeyNeeded, takeKeyFromAddress } from "./api/key.ts";
 import { DatasetsScreen } from "./datasets/datasets_screen.tsx";
 import { DatasetScreen } from "./datasets/dataset_screen.tsx";
 import { NewScreen } from "./datasets/new_screen.tsx";
@@ -29,7 +29,13 @@ export function App() {
   const [keyNeeded, setKeyNeeded] = useState(false);
   const [tries, setTries] = useState(0);
   useEffect(() => {
-    const go = () => setPath(currentRoute().path);
+    const go = () => {
+      if (takeKeyFromAddress()) {
+        setTries((before) => before + 1);
+        setKeyNeeded(false);
+      }
+      setPath(currentRoute().path);
+    };
     window.addEventListener("hashchange", go);
     return () => window.removeEventListener("hashchange", go);
   }, []);
@@ -110,14 +116,18 @@ function KeyForm({ tried, onKey }: { tried: boolean; onKey: (key: string) => voi
         class="panel key-form"
         onSubmit={(event) => {
           event.preventDefault();
-          if (key.trim() !== "") onKey(key.trim());
+          if (keyIn(key) !== "") onKey(keyIn(key));
         }}
       >
         <h1>This service needs a key</h1>
         <p>
-          {tried ? "That key was refused: it is unknown, expired or revoked. " : ""}
-          Who keeps the service makes one with <code>fewview key create</code>. It stays in this tab, and is forgotten
-          when you close it.
+          {tried ? "That key was refused: it is unknown, expired, revoked, or of an earlier start of the service. " : ""}
+          Is the service on this computer, and yours? Then <code>fewview open</code> opens this page with its key, as
+          does the address that <code>fewview serve</code> printed.
+        </p>
+        <p>
+          Elsewhere who keeps the service makes a key with <code>fewview key create</code>. It stays in this tab, and is
+          forgotten when you close it.
         </p>
         <label>
           Key

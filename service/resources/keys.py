@@ -7,7 +7,8 @@ from fastapi import APIRouter, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import Identifier, StoreDep
-from service.http.errors import BODY_PROBLEMS, problems
+from service.http.errors import BODY_PROBLEMS, ApiError, problems
+from service.http.local_owner import LocalOwner
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
 from service.resources.lists import LimitQuery, cut
@@ -31,6 +32,7 @@ EXAMPLE: dict[str, Any] = {
     "expires_at": "2027-03-01T00:00:00Z",
     "revoked_at": None,
 }
+TOKEN = "fewview_9dXvB2mKq4hWzT7rLs0PfYcE1nJgUaI6oR8tVbN3kQw"  # noqa: S105 (an example)
 EXPIRES = "When it ceases to be in force; null: never."
 
 
@@ -97,11 +99,7 @@ class Key(BaseModel):
 class NewKey(Key):
     """A key that was made just now, with its token."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": EXAMPLE | {"token": "fewview_9dXvB2mKq4hWzT7rLs0PfYcE1nJgUaI6oR8tVbN3kQw"}
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"example": EXAMPLE | {"token": TOKEN}})
 
     token: str = Field(description="For `Authorization: Bearer TOKEN`. It cannot be had again.")
 
@@ -153,6 +151,31 @@ def list_keys(
     """List the keys of all projects, newest first; those that were revoked, too."""
     page, more = cut(access_keys.page(store, limit=limit + 1, after=cursor), limit)
     return KeyPage(items=[Key.of(record) for record in page], next_cursor=more)
+
+
+class PageKey(BaseModel):
+    """What lets the page in, in a browser of the service's own user."""
+
+    model_config = ConfigDict(json_schema_extra={"example": {"token": TOKEN}})
+
+    token: str = Field(
+        description="The page takes it from its address, `/#key=TOKEN`. It holds until the service "
+        "stops, and only on connections of the service's own user or of root."
+    )
+
+
+@router.get("/page", responses=problems("not_found"))
+def get_page_key(request: Request, response: Response) -> PageKey:
+    """Return the key with which a browser of the service's own user may use the page."""
+    owner: LocalOwner = request.app.state.local_owner
+    if owner.page_key is None:
+        raise ApiError(
+            "not_found",
+            "This service lets nobody in without a key (FEWVIEW_TRUST_LOCAL is false): give the "
+            "page one that `fewview key create` prints.",
+        )
+    response.headers["Cache-Control"] = "no-store"
+    return PageKey(token=owner.page_key)
 
 
 @router.get("/{key_id}", responses=problems("not_found"))

@@ -41,6 +41,13 @@ class NewKey(Key):
 
 
 @dataclass(frozen=True)
+class PageKey:
+    """The key of the page, until the service stops: its address is ``/#key=TOKEN``."""
+
+    token: str = field(repr=False)
+
+
+@dataclass(frozen=True)
 class AuditEntry:
     """A change: who made it (``key_id``), in which project, what (``action``) and of what."""
 
@@ -96,6 +103,17 @@ class Keys(Resource[Driver]):
     def get(self, key: Key | str) -> Steps[Key]:
         """Describe a key; raise ``NotFound`` if there is none."""
         return self._call(Request("GET", path("keys", identifier(key)), form_in(Key)))
+
+    @operation
+    def of_page(self) -> Steps[PageKey]:
+        """Return the key of the page for a browser of the service's own user; needs ``admin``.
+
+        Raises
+        ------
+        NotFound
+            The service lets nobody in without a key.
+        """
+        return self._call(Request("GET", "/keys/page", form_in(PageKey)))
 
     @listing
     def list(self) -> Request[Page[Key]]:
