@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import fewview
+from fewview.commands.open_page import page_address
 from fewview.embedded import running_service
 from pictures import PICTURES, ROOT, SOFTWARE, save_picture
 from playwright.sync_api import ViewportSize, sync_playwright
@@ -47,21 +48,22 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=chromium, args=SOFTWARE)
         for name, tutorial in TUTORIALS.items():
             page = browser.new_page(viewport=SIZE, color_scheme="light")
-            page.goto(f"{address}/#/fits/{fitted(address, name, tutorial)}?frame={tutorial.frame}")
+            page.goto(shown(address, name, tutorial))
             page.get_by_role("heading", name="Figures").wait_for()
             page.wait_for_timeout(1500)  # the heat map comes when there is nothing else to do
             save_picture(page.screenshot(), PICTURES / f"tutorial-{name}.png")
         browser.close()
 
 
-def fitted(address: str, name: str, tutorial: Tutorial) -> str:
-    """Fit the practice files of a tutorial; return the fit's identifier."""
+def shown(address: str, name: str, tutorial: Tutorial) -> str:
+    """Fit the practice files of a tutorial; return where the page shows the fit."""
     with TemporaryDirectory() as folder, fewview.Client(address) as client:
         practice = str(ROOT / "examples" / "practice.py")
         subprocess.run([sys.executable, practice, name, folder], check=True)  # noqa: S603
         files = sorted(Path(folder).glob(tutorial.files))
         dataset = client.datasets.create(fewview.read(files, **tutorial.options), name=name)
-        return client.fits.wait(client.fits.create(dataset, name=name, **tutorial.config)).id
+        fit = client.fits.wait(client.fits.create(dataset, name=name, **tutorial.config))
+        return page_address(client, f"/fits/{fit.id}?frame={tutorial.frame}")
 
 
 if __name__ == "__main__":

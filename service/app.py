@@ -16,13 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from fastapi import Depends, FastAPI, Request
-from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
-from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.middleware.cors import CORSMiddleware
-from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from service.http import errors
@@ -41,7 +38,9 @@ from service.http.operations import registered_schemas
 from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.turns import Places, Threads, Turns
+from service.http.safe_headers import SafeHeaders
 from service.http.websockets import WebSocketConnection
+from service.page.documentation import serve_documentation
 from service.page.serving import serve_page
 from service.realtime import lift, stream, watch
 from service.realtime.engine import Engine
@@ -185,7 +184,7 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
     app.state.metrics = Metrics()
     for module in RESOURCES:
         app.include_router(module.router)
-    _show_documentation(app)
+    serve_documentation(app)
     serve_page(app)
     errors.install(app)
     app.add_middleware(
@@ -256,34 +255,13 @@ def _wrap(app: FastAPI) -> None:
     build = app.build_middleware_stack
 
     def wrapped() -> ASGIApp:
-        return Watched(build(), app.state.metrics)
+        return Watched(SafeHeaders(build()), app.state.metrics)
 
     app.build_middleware_stack = wrapped  # type: ignore[method-assign]
 
 
 def _operation_id(route: APIRoute) -> str:
     return route.name
-
-
-def _show_documentation(app: FastAPI) -> None:
-    """Serve `/docs` with its scripts beside it, so that it works without the internet."""
-    app.mount(
-        "/docs/assets", StaticFiles(packages=[("fastapi_offline", "static")]), name="docs_assets"
-    )
-
-    async def show(request: Request) -> Response:
-        def asset(name: str) -> str:
-            return request.url_for("docs_assets", path=name).path
-
-        return get_swagger_ui_html(
-            openapi_url=f"{request.scope.get('root_path', '')}{app.openapi_url}",
-            title=app.title,
-            swagger_js_url=asset("swagger-ui-bundle.js"),
-            swagger_css_url=asset("swagger-ui.css"),
-            swagger_favicon_url=asset("favicon.png"),
-        )
-
-    app.add_route("/docs", show, include_in_schema=False)
 
 
 def _describe(app: FastAPI) -> None:

@@ -11,6 +11,8 @@
 ``limits``, ``uploads``, ``zips``
 ``authentication``, ``keyring``, ``local_owner``
     Who sends a request: the holder of a key, or the service's own user.
+``safe_headers``
+    What every answer forbids browsers to do with it.
 ``limits``, ``uploads``
     Bodies on their way in, held to their limits.
 ``head``

@@ -11,6 +11,7 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from service.http.errors import ApiError
 from service.http.peers import Peer
 from service.http.request_ids import HEADER, given_or_new
+from service.http.safe_headers import made_safe
 from worker.logs import request_id
 
 MAX_HEAD_BYTES = 64 * 1024
@@ -166,7 +167,7 @@ class Connection(HttpToolsProtocol):
             identifier = given_or_new(self.headers or ())
             response = copy_context().run(_problem, error, identifier)
             headers = [
-                *response.raw_headers,
+                *made_safe(response.raw_headers),
                 (HEADER, identifier.encode()),
                 (b"connection", b"close"),
             ]

@@ -11,6 +11,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.http11 import Request, Response
 
 from service.http.metrics import SWITCHED, Metrics
+from service.http.safe_headers import HEADERS
 from worker.logs import REQUEST_ID, request_id
 
 HEADER = b"x-request-id"
@@ -84,6 +85,8 @@ class NamedWebSocket(WebSocketsSansIOProtocol):
         def reject_named(status: HTTPStatus | int, text: str) -> Response:
             response = reject(status, text)
             response.headers[HEADER.decode()] = request_id.get() or self._identifier
+            for name, value in HEADERS.items():
+                response.headers.setdefault(name.decode(), value.decode())
             return response
 
         self.conn.accept = accept_named  # type: ignore[method-assign]

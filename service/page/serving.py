@@ -17,11 +17,7 @@ POLICY = (
     "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-HEADERS = {
-    "Content-Security-Policy": POLICY,
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
+HEADERS = {"Content-Security-Policy": POLICY, "Cache-Control": "no-cache"}
 NOT_BUILT = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Fewview</title>
 <h1>Fewview</h1>
@@ -40,7 +36,6 @@ class ImmutableFiles(StaticFiles):
         """Answer with a file, to be kept for ever."""
         response = await super().get_response(path, scope)
         response.headers["Cache-Control"] = FOR_EVER
-        response.headers["X-Content-Type-Options"] = "nosniff"
         return response
 
 
@@ -48,11 +43,10 @@ def serve_page(app: FastAPI, built: Path = BUILT) -> None:
     """Add the page to the application; if it was not built, add a note on how to build it."""
 
     async def show(_request: Request) -> Response:
-        headers = HEADERS | {"Cache-Control": "no-cache"}
         try:
-            return HTMLResponse((built / "index.html").read_bytes(), headers=headers)
+            return HTMLResponse((built / "index.html").read_bytes(), headers=HEADERS)
         except FileNotFoundError:
-            return HTMLResponse(NOT_BUILT, headers=headers)
+            return HTMLResponse(NOT_BUILT, headers=HEADERS)
 
     app.add_route("/", show, methods=["GET"], include_in_schema=False)
     files = ImmutableFiles(directory=built / "page", check_dir=False)

@@ -43,13 +43,15 @@ class Watched:
 
     page: Page
     base: str
+    key: str | None  # that the address has
     foreign: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
 
     def open(self, where: str = "") -> Page:
         """Load the page at one of its screens."""
         self.page.goto("about:blank")  # else another part behind `#` would load nothing
-        self.page.goto(f"{self.base}/{where}")
+        with_key = where if self.key is None else f"#key={self.key}{where.removeprefix('#')}"
+        self.page.goto(f"{self.base}/{with_key}")
         return self.page
 
 
@@ -93,14 +95,14 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 @pytest.fixture
 def watched(context: BrowserContext, live: Live) -> Iterator[Watched]:
     """Open a page that asks nobody but its service, and of which the console has no complaint."""
-    watched = watch(context.new_page(), live.url)
+    watched = watch(context.new_page(), live.url, live.page_key)
     yield watched
     assert watched.foreign == []
     assert watched.errors == []
 
 
-def watch(page: Page, base: str) -> Watched:
-    watched = Watched(page, base)
+def watch(page: Page, base: str, key: str | None = None) -> Watched:
+    watched = Watched(page, base, key)
 
     def note(request: Request) -> None:
         if not request.url.startswith((f"{base}/", "blob:", "about:")):

@@ -25,8 +25,7 @@ def spare(live: Live) -> str:
 def test_who_has_stored_nothing_is_taught(context: BrowserContext, live: Live) -> None:
     asked = {"name": "new", "project": "empty", "scopes": ["read", "write", "lift"]}
     made = live.http.post("/keys", json=asked | {"quotas": {"stored_bytes": 1_000_000}}).json()
-    watched = watch(context.new_page(), live.url)
-    watched.open().evaluate(f"sessionStorage.setItem('fewview-key', '{made['token']}')")
+    watched = watch(context.new_page(), live.url, made["token"])
     for screen, heading in (
         ("", "in three steps"),
         ("#/datasets", "what your cameras saw"),

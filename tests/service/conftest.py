@@ -140,7 +140,6 @@ def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
     return Settings(
         **deployment,
         redis_url=RedisDsn(f"{valkey.connection_url}/0"),
-        allowed_hosts="testserver",
         max_body_bytes=4 * MIB,
         max_json_bytes=MIB,
         max_frames=400,
@@ -241,6 +240,13 @@ class Live:
     def queue_url(self) -> str:
         """The URL of its queue, as it prints it."""
         found = re.search(r"queue\s+(\S+)", self.printed)
+        assert found, self.printed
+        return found[1]
+
+    @property
+    def page_key(self) -> str:
+        """The key in the address of the page, as it prints it."""
+        found = re.search(r"page +http://\S+/#key=(\S+)", self.printed)
         assert found, self.printed
         return found[1]
 

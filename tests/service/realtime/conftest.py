@@ -45,9 +45,13 @@ def http(settings: Settings, model: str) -> Iterator[httpx2.Client]:
 
 
 @contextmanager
-def opened(http: httpx2.Client, origin: str | None = None) -> Iterator[ClientConnection]:
+def opened(
+    http: httpx2.Client, origin: str | None = None, key: str | None = None
+) -> Iterator[ClientConnection]:
     url = f"ws://{http.base_url.host}:{http.base_url.port}/lift/stream"
-    named = None if origin is None else {"Origin": origin}
+    named = {} if origin is None else {"Origin": origin}
+    if key is not None:
+        named["Authorization"] = f"Bearer {key}"
     with connect(url, compression=None, proxy=None, additional_headers=named) as socket:
         yield socket
 
@@ -59,9 +63,10 @@ def started(
     *,
     model_id: str | None = None,
     origin: str | None = None,
+    key: str | None = None,
     **more: Any,
 ) -> Iterator[ClientConnection]:
-    with opened(http, origin) as socket:
+    with opened(http, origin, key) as socket:
         socket.send(orjson.dumps({"model": model, **more}).decode())
         ready = StreamReady.model_validate_json(socket.recv(timeout=300))
         assert ready.model == (model_id or model)  # where an alias was asked for

@@ -166,22 +166,35 @@ def test_streams_are_bounded_in_number_and_silence(settings: Settings, model: st
         wait_for(opens, "the place of the one that was silent")
 
 
+def page_key(http: httpx2.Client) -> str:
+    return str(http.get("/keys/page").json()["token"])
+
+
+def lifting_key(http: httpx2.Client) -> str:
+    return str(http.post("/keys", json={"name": "page", "scopes": ["lift"]}).json()["token"])
+
+
 def test_web_pages_open_streams_only_from_allowed_origins(
     http: httpx2.Client, settings: Settings, model: str
 ) -> None:
     given = settings.model_copy(update={"cors_origins": "https://lab.example"})
     own = f"http://{http.base_url.host}:{http.base_url.port}"
+    key = lifting_key(http)
     for origin in ("https://evil.example", "https://lab.example", f"{own}0", "null", ""):
-        with pytest.raises(InvalidStatus) as refused, opened(http, origin=origin):
+        with pytest.raises(InvalidStatus) as refused, opened(http, origin=origin, key=key):
             pass
         assert refused.value.response.status_code == 403
         assert orjson.loads(refused.value.response.body)["code"] == "origin_not_allowed"
-    with started(http, model, origin=own):
+    with pytest.raises(InvalidStatus) as refused, opened(http, origin=own):
+        pass  # of this machine's user, but not of the page
+    assert refused.value.response.status_code == 401
+    with started(http, model, origin=own, key=page_key(http)):
         pass
     with served(given) as other:
-        with started(other, model, origin="https://lab.example"), started(other, model):
+        key = lifting_key(other)
+        with started(other, model, origin="https://lab.example", key=key), started(other, model):
             pass
-        with pytest.raises(InvalidStatus), opened(other, origin="https://evil.example"):
+        with pytest.raises(InvalidStatus), opened(other, origin="https://evil.example", key=key):
             pass
 
 
