@@ -5,7 +5,7 @@
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
 # make performance   write all figures of docs/performance.md anew
 # make fuzz   send up to 5,000 generated requests to a running service (schemathesis)
-# make serve  set up, then run the service on http://127.0.0.1:8000
+# make serve  set up, then run the service, and print the address of its page
 # make docs   build the site of docs/ into build/site
 # make page   build the page that the service shows at its address; demo, serve and test do so too
 

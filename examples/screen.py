@@ -112,7 +112,7 @@ def page_of(fit_id: str, data: Path) -> str:
     program = Path(sys.executable).with_name("fewview")
     here = Path.cwd()
     shown = program.relative_to(here) if program.is_relative_to(here) else program
-    return f"{shown} serve --data-dir {data}, then open http://127.0.0.1:8000/#/fits/{fit_id}"
+    return f"{shown} serve --data-dir {data}, open the page that it prints, then #/fits/{fit_id}"
 
 
 def number(value: float | None) -> str:

@@ -277,7 +277,7 @@ def _describe(app: FastAPI) -> None:
             schema["components"]["securitySchemes"] = {"bearer": BEARER}
             for path, operations in schema["paths"].items():
                 for method, operation in operations.items():
-                    operation["security"] = [{"bearer": [needed(method.upper(), path)]}]
+                    operation["security"] = [{"bearer": [*needed(method.upper(), path)]}]
                     if path in PROBES:  # which need a key on loopback alone
                         operation["security"].append({})
             for unused in ("HTTPValidationError", "ValidationError"):

@@ -49,6 +49,8 @@ objects as the API.
 def run(command: str, arguments: list[str]) -> None:
     """Run a command of the server; exit with status 2 and the reason on stderr if it cannot."""
     logs.set_up()
+    if command != "precompile":  # whose machine code all users of an image may read
+        os.umask(0o077)  # what is written is nobody else's, wherever records and objects live
     try:
         COMMANDS[command](arguments)
     except ValidationError as error:

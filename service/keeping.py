@@ -1,6 +1,5 @@
 """The commands of who keeps a deployment: backup, restore, migrate, prune and doctor."""
 
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -99,7 +98,6 @@ class Migrate(StoreSettings):
 def backup(arguments: list[str]) -> None:
     """Run ``fewview backup``: status 0, 1 if it is not whole, 2 if it cannot be made."""
     settings = CliApp.run(Backup, cli_args=arguments)
-    os.umask(0o077)  # captures are nobody else's
     with ending("backup"), closing(open_store(settings)) as store:
         outcome = backups.backup(
             store, settings.folder, CopyProgress(), project=settings.project, deep=settings.deep

@@ -1,7 +1,7 @@
-"""What lies in the data folder is its user's alone."""
+"""What is stored in files is its user's alone."""
 
 import logging
-import os
+from pathlib import Path
 
 from store.settings import StoreSettings
 
@@ -11,16 +11,16 @@ OURS = ("records.db", "records.db-wal", "records.db-shm", "objects", "valkey", "
 
 
 def keep_private(settings: StoreSettings) -> None:
-    """Close to other users of the machine what this process will write, and what is there of ours.
+    """Close to other users of the machine what is there of ours.
 
-    A data folder that was there is left as it is, for it may hold other things. Records and objects
-    that both live elsewhere are no business of this.
+    What is written from now on is closed by the umask of all commands (`service.cli.run`). A folder
+    that was there is left as it is, for it may hold other things, or be shared on purpose.
     """
-    if not settings.uses_data_dir:
-        return
-    os.umask(0o077)
-    for name in OURS:
-        path = settings.data_dir / name
+    ours = [settings.data_dir / name for name in OURS] if settings.uses_data_dir else []
+    records = settings.resolved_database_url
+    if records.database is not None and records.drivername == "sqlite":
+        ours += [Path(f"{records.database}{end}") for end in ("", "-wal", "-shm")]
+    for path in ours:
         try:
             mode = path.stat().st_mode
             if mode & 0o077:

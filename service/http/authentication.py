@@ -68,7 +68,8 @@ class Authentication:
     async def _let_in(self, scope: Scope) -> Caller:
         """Return who sends a request that is allowed; raise ``ApiError`` for any other."""
         caller = self._identify(scope)
-        _check_scope(caller, needed(scope.get("method", "GET"), scope["path"]))
+        for each in needed(scope.get("method", "GET"), scope["path"]):
+            _check_scope(caller, each)
         if caller.author.quotas.requests_per_second is not None:
             rates: Rates = scope["app"].state.rates
             await rates.take_request(caller)
@@ -90,15 +91,21 @@ class Authentication:
         return caller
 
 
-def needed(method: str, path: str) -> access_keys.Scope:
-    """Return the scope that a request needs; of a WebSocket the method is GET."""
+def needed(method: str, path: str) -> tuple[access_keys.Scope, ...]:
+    """Return the scopes that a request needs; of a WebSocket the method is GET.
+
+    What answers with something that was stored before needs `read`, too: changes of a record, and
+    deleting all that a query finds, which counts them.
+    """
     first, _, more = path.lstrip("/").partition("/")
     for begin in (f"{first}/{more.partition('/')[0]}", first):
         if begin in OF_PATH:
-            return OF_PATH[begin]
+            return (OF_PATH[begin],)
     if method in ("GET", "HEAD", "OPTIONS"):
-        return "read"
-    return "delete" if method == "DELETE" else "write"
+        return ("read",)
+    if method == "DELETE":
+        return ("delete",) if more else ("delete", "read")
+    return ("write", "read") if more else ("write",)
 
 
 def _is_of_page(scope: Scope) -> bool:

@@ -12,6 +12,6 @@ class _Peer:
 class OwnersClient(TestClient):
     """Needs no key, as whoever connects from this machine as the user of the service."""
 
-    def __init__(self, *arguments: Any, base_url: str = "http://127.0.0.1", **more: Any) -> None:
-        super().__init__(*arguments, base_url=base_url, **more)
+    def __init__(self, app: Any, base_url: str = "http://127.0.0.1", **more: Any) -> None:
+        super().__init__(app, base_url, **more)
         self.app_state["peer"] = _Peer()  # as service.http.connections does for a connection

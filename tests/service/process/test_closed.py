@@ -57,6 +57,29 @@ def test_it_does_not_start_where_others_may_read_the_token(tmp_path: Path) -> No
     assert f"chmod 600 {tmp_path / 'token'}" in ran.stderr
 
 
+def test_what_is_stored_elsewhere_is_its_users_alone_too(tmp_path: Path) -> None:
+    """Records and objects outside of the data folder, whatever the shell's umask allows."""
+    tmp_path.chmod(0o755)
+    elsewhere = tmp_path / "elsewhere"
+    settings = (
+        f"--data-dir={tmp_path / 'data'}",
+        f"--database-url=sqlite:///{elsewhere}/records.db",
+        f"--store-url=file://{elsewhere}/objects",
+    )
+    live = start_service(*(tmp_path / "data", *settings[1:]))
+    try:
+        make_dataset(live.http)
+    finally:
+        kill_service(live)
+    made = [elsewhere, *elsewhere.rglob("*")]
+    assert {path.name for path in made} >= {"records.db", "objects", "deployment.json"}
+    assert [path for path in made if stat.S_IMODE(path.stat().st_mode) & OPEN] == []
+    for name in ("records.db", "records.db-wal"):
+        (elsewhere / name).chmod(0o644)
+    ran = run(python("-m", "service.cli", "key", "list", *settings))
+    assert (ran.returncode, stat.S_IMODE((elsewhere / "records.db").stat().st_mode)) == (0, 0o600)
+
+
 @pytest.fixture(scope="module")
 def deep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """Serve a folder that was open to others, with a path too long for a socket's."""
