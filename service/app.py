@@ -68,6 +68,7 @@ from service.resources import (
 )
 from service.resources.events import Events
 from service.resources.integrity import Integrity
+from service.resources.preconditions import describe_preconditions, refuse_if_changed
 from service.settings import Settings
 from store.access_keys import new_token
 from store.database import Store
@@ -176,7 +177,11 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
         generate_unique_id_function=_operation_id,
         docs_url=None,
         redoc_url=None,
-        dependencies=[Depends(refuse_foreign_changes), Depends(refuse_unknown_query)],
+        dependencies=[
+            Depends(refuse_foreign_changes),
+            Depends(refuse_unknown_query),
+            Depends(refuse_if_changed),
+        ],
     )
     app.state.settings = settings
     app.state.local_owner = LocalOwner(settings, page_key or new_token())
@@ -280,6 +285,7 @@ def _describe(app: FastAPI) -> None:
                     operation["security"] = [{"bearer": [*needed(method.upper(), path)]}]
                     if path in PROBES:  # which need a key on loopback alone
                         operation["security"].append({})
+            describe_preconditions(schema["paths"])
             for unused in ("HTTPValidationError", "ValidationError"):
                 schemas.pop(unused, None)
             for name, kind in ((n, k) for module in RESOURCES for n, k in vars(module).items()):

@@ -29,7 +29,7 @@ async def get_settings(request: Request) -> Settings:
     return settings
 
 
-async def get_store(request: Request) -> Store:
+async def get_store(request: HTTPConnection) -> Store:
     """Return the store as the caller sees it: the project of the key, and nothing else."""
     store: Store = request.app.state.store
     identifier = request.scope["state"]["request_id"]

@@ -1,24 +1,21 @@
 """Changing names, tags and metadata of stored resources, and what else a kind of them allows."""
 
-import hashlib
 from collections.abc import Callable
 from typing import Annotated, Any, Protocol
 
-import orjson
 from fastapi import APIRouter, Header, Path, Response
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy import inspect
 
 from service.http.dependencies import StoreDep
-from service.http.errors import BODY_PROBLEMS, ApiError, problems
+from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
+from service.resources.preconditions import etag_of, unchanged_since
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
 from store import lookup
 from store.labels import METADATA, TAGS, Metadata, Tags
 from store.lookup import Resource
-from store.records import Job
 
 LABELS = ("name", "tags", "metadata")
 IfMatch = Annotated[
@@ -109,30 +106,7 @@ def add_change_route(
     ) -> Any:
         asked = read_json(upload, change)
         asked.check(lookup.get(store, kind, identifier))
-        agree = _unchanged_since(if_match)
+        agree = unchanged_since(if_match)
         changed = write(store, kind, identifier, asked.columns(), agree=agree)
         response.headers["ETag"] = etag_of(changed)
         return to_wire(changed)
-
-
-def etag_of(record: Any) -> str:
-    """Return the strong entity tag (RFC 9110, 8.8.3) of what is stored of a record."""
-    if isinstance(record, Job):
-        return f'"{record.revision}"'
-    columns = {column.key: getattr(record, column.key) for column in inspect(type(record)).columns}
-    return f'"{hashlib.sha256(orjson.dumps(columns)).hexdigest()[:32]}"'
-
-
-def _unchanged_since(if_match: str | None) -> Callable[[Any], None]:
-    """Return what raises ``ApiError`` (412) for a record with none of these tags (13.1.1)."""
-
-    def check(record: Any) -> None:
-        tags = [tag.strip() for tag in (if_match or "*").split(",")]
-        if "*" not in tags and etag_of(record) not in tags:
-            raise ApiError(
-                "precondition_failed",
-                f"This {record.noun} has changed since you read it: expected If-Match "
-                f"{etag_of(record)}; read it again, and change that.",
-            )
-
-    return check

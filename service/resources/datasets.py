@@ -18,7 +18,7 @@ from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import FilesBody, UploadBody
-from service.resources.changes import add_change_route, etag_of
+from service.resources.changes import add_change_route
 from service.resources.dataset_bodies import (
     DatasetChange,
     DatasetCreate,
@@ -31,6 +31,7 @@ from service.resources.dataset_bodies import (
 )
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import CaptureCalibration
+from service.resources.preconditions import etag_of
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton

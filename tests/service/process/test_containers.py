@@ -178,10 +178,13 @@ def test_every_container_has_limits_and_an_exact_image(name: str) -> None:
 def test_the_image_installs_what_is_locked() -> None:
     """Of exact versions, which pyproject.toml allows, with digests; torch is named by itself."""
     dockerfile = (ROOT / "Dockerfile").read_text()
+    images = dict(re.findall(r"^ARG (\w+)=(\w+:\S+)$", dockerfile, re.MULTILINE))
     assert all(
         re.fullmatch(r"(python:\d+\.\d+\.\d+-slim-\w+|node:\d+\.\d+\.\d+-\w+-slim)", image)
-        for image in re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)
+        for image in images.values()
     )
+    of = re.findall(r"^FROM \$\{(\w+)\}(?: AS \w+)?$", dockerfile, re.MULTILINE)
+    assert (len(of), {*of}) == (dockerfile.count("\nFROM "), images.keys())
     installs = re.findall(r"pip install (.*)", dockerfile)
     assert "--require-hashes -r requirements.lock" in installs[0]
     assert "--no-deps" in installs[-1]
@@ -195,7 +198,8 @@ def test_the_image_installs_what_is_locked() -> None:
     )
     for requirement in wanted:
         if requirement.name == "torch":
-            assert f"torch{requirement.specifier}" in installs[1]
+            assert f"torch{requirement.specifier}" in dockerfile
+            assert "$TORCH_SHA256" in dockerfile
         elif requirement.name != "fewview":
             version = locked[canonicalize_name(requirement.name)]
             assert version in requirement.specifier, f"{requirement}: run `make lock`"

@@ -151,3 +151,40 @@ def test_what_a_dataset_cannot_be_is_refused(api: TestClient) -> None:
     ):
         problem(api.patch(url, json=body), 422, "invalid_input", pointer)
     assert api.get(url).json() == before
+
+
+def test_nothing_is_changed_that_has_changed_since_it_was_read(
+    api: TestClient, urls: list[str]
+) -> None:
+    """By any operation on a record that has an ETag: those of the OpenAPI document."""
+    paths = api.get("/openapi.json").json()["paths"]
+    of_kind = dict(zip(("dataset_id", "fit_id", "lift_id", "model_id"), urls, strict=True))
+    stale = {"If-Match": '"of yesterday"'}
+    seen = 0
+    for path, operations in paths.items():
+        kind = next((name for name in of_kind if f"{{{name}}}" in path), None)
+        for method in operations.keys() & {"post", "put", "patch", "delete"}:
+            if kind is None:
+                continue
+            url = path.replace(f"/{kind[:-3]}s/{{{kind}}}", of_kind[kind])
+            before = api.get(of_kind[kind]).json()
+            body: dict[str, Any] = {"keypoints": [[[[1, 2]] * 16] * 2]}
+            if method != "post":
+                body = {"name": "new"} if method == "patch" else {"model_id": urls[3][8:]}
+            given = {} if method == "delete" else {"json": body}
+            refused = api.request(method, url, headers=stale, **given)
+            problem(refused, 412, "precondition_failed")
+            assert api.get(of_kind[kind]).json() == before
+            parameters = [each["name"] for each in operations[method]["parameters"]]
+            assert "if-match" in parameters
+            assert "412" in operations[method]["responses"]
+            seen += 1
+    assert seen >= 12
+    alias = f"/models/new@{urls[3][-6:]}"
+    problem(
+        api.put(alias, json={"model_id": urls[3][8:]}, headers=stale), 412, "precondition_failed"
+    )
+    for url in (*urls[1:], urls[0]):
+        tag = {"If-Match": api.get(url).headers["etag"]}
+        assert api.delete(url, headers=tag).status_code == 204
+        problem(api.delete(url, headers=tag), 404, "not_found")
