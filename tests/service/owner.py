@@ -15,3 +15,7 @@ class OwnersClient(TestClient):
     def __init__(self, app: Any, base_url: str = "http://127.0.0.1", **more: Any) -> None:
         super().__init__(app, base_url, **more)
         self.app_state["peer"] = _Peer()  # as service.http.connections does for a connection
+
+    def websocket_connect(self, url: str, *arguments: Any, **more: Any) -> Any:
+        """Open a WebSocket at the same address; Starlette's own client has a name for it."""
+        return super().websocket_connect(f"ws://127.0.0.1{url}", *arguments, **more)
