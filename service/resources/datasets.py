@@ -30,8 +30,8 @@ from service.resources.dataset_bodies import (
     read_new,
 )
 from service.resources.lists import Page, add_list_routes, page_of
-from service.wire.calibrations import CaptureCalibration
 from service.resources.preconditions import etag_of
+from service.wire.calibrations import CaptureCalibration
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
