@@ -1,6 +1,7 @@
 """The sockets that the service listens on: of ``localhost`` it has both addresses, or none."""
 
 import errno
+import os
 import socket
 from collections.abc import Sequence
 
@@ -18,7 +19,7 @@ class StartError(Exception):
 class _Taken(Exception):  # noqa: N818 (never leaves this module)
     """An address cannot be listened on."""
 
-    def __init__(self, host: str, reason: str | None) -> None:
+    def __init__(self, host: str, reason: str) -> None:
         super().__init__()
         self.host, self.reason = host, reason
 
@@ -81,7 +82,7 @@ def _on_all(hosts: Sequence[str], port: int, *, shared: bool = False) -> list[so
                 continue
             for each in listeners:
                 each.close()
-            raise _Taken(host, error.strerror) from error
+            raise _Taken(host, os.strerror(error.errno or 0)) from error
         listeners.append(listener)
         port = listener.getsockname()[1]
     return listeners

@@ -22,7 +22,9 @@ from store.records import DatasetRecord, FitRecord, Job, LiftRecord, ModelRecord
 
 HEADER = "if-match"
 # What has an `ETag`, by its parameter of a path.
-KINDS = {f"{kind.noun}_id": kind for kind in (DatasetRecord, FitRecord, LiftRecord, ModelRecord)}
+KINDS: dict[str, Any] = {
+    f"{kind.noun}_id": kind for kind in (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
+}
 COMPARED_HERE = ("POST", "PUT", "DELETE")
 
 

@@ -47,7 +47,7 @@ try:
     listener = socket.create_server((sys.argv[3], int(sys.argv[2])), family=socket.AF_INET6)
     print("listens", flush=True)
 except OSError as error:
-    print(error.strerror, flush=True)
+    print(os.strerror(error.errno), flush=True)
 sys.stdin.read()
 """
 
@@ -78,7 +78,7 @@ def test_programs_need_no_key_and_browsers_that_of_the_page(api: TestClient) -> 
         for path in ("/", "/docs", "/openapi.json", "/docs/assets/swagger-ui.css"):
             assert api.get(path, headers=headers).status_code == 200, path
     strange = {b"Authorization": b"Bearer " + b"\xe9" * 43}
-    problem(api.get("/datasets", headers=strange), 401, "unauthorized")  # type: ignore[arg-type]
+    problem(api.get("/datasets", headers=strange), 401, "unauthorized")
 
 
 def test_streams_of_a_page_need_its_key(api: TestClient, model: str) -> None:
@@ -164,7 +164,7 @@ def two_users() -> None:
 @pytest.mark.usefixtures("two_users")
 def test_nobody_else_listens_on_the_other_address_of_localhost(live: Live) -> None:
     port = int(live.url.rpartition(":")[2])
-    for host in ("::1", "::", "::ffff:127.0.0.1"):
+    for host in ("::1", "::"):
         with listening(port, host) as came:
             assert came == "Address already in use", host
     with httpx2.Client(base_url=f"http://[::1]:{port}", trust_env=False) as http:

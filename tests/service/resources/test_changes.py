@@ -171,7 +171,7 @@ def test_nothing_is_changed_that_has_changed_since_it_was_read(
             body: dict[str, Any] = {"keypoints": [[[[1, 2]] * 16] * 2]}
             if method != "post":
                 body = {"name": "new"} if method == "patch" else {"model_id": urls[3][8:]}
-            given = {} if method == "delete" else {"json": body}
+            given: dict[str, Any] = {} if method == "delete" else {"json": body}
             refused = api.request(method, url, headers=stale, **given)
             problem(refused, 412, "precondition_failed")
             assert api.get(of_kind[kind]).json() == before
