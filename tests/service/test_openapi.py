@@ -149,6 +149,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "get_metrics",
         "get_model",
         "get_model_cameras",
+        "get_page_key",
         "get_reconstruction",
         "get_storage",
         "get_version",

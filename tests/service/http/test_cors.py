@@ -22,7 +22,10 @@ ASKING = {
 
 def test_closed_by_default(api: TestClient) -> None:
     assert ALLOW not in api.get("/datasets", headers={"Origin": PAGE}).headers
-    problem(api.options("/datasets", headers=ASKING), 405, "method_not_allowed")
+    problem(api.options("/datasets", headers=ASKING), 401, "unauthorized")
+    asked = api.options("/datasets", headers=ASKING | key_for_all(api))
+    problem(asked, 405, "method_not_allowed")
+    assert ALLOW not in asked.headers
 
 
 def key_of_page(client: TestClient) -> dict[str, str]:

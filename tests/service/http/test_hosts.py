@@ -75,6 +75,6 @@ def test_further_names_can_be_allowed(
     other = settings.model_copy(update={"allowed_hosts": "", **given})
     client = OwnersClient(create_app(other))  # whose store nobody opens: none of this needs one
     for host in (*own, "localhost:8000"):
-        assert asked(client, host).status_code == 200, host
+        assert asked(client, host, "/").status_code == 200, host
     for host in foreign:
         problem(asked(client, host), 421, "host_not_allowed")
