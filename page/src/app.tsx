@@ -121,7 +121,9 @@ function KeyForm({ tried, onKey }: { tried: boolean; onKey: (key: string) => voi
       >
         <h1>This service needs a key</h1>
         <p>
-          {tried ? "That key was refused: it is unknown, expired, revoked, or of an earlier start of the service. " : ""}
+          {tried
+            ? "That key was refused: it is unknown, expired, revoked, or of an earlier start of the service. "
+            : ""}
           Is the service on this computer, and yours? Then <code>fewview open</code> opens this page with its key, as
           does the address that <code>fewview serve</code> printed.
         </p>

@@ -1,6 +1,7 @@
 """The page behind a proxy and with keys, in the hand and in the dark, and for who cannot see it."""
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,41 @@ def test_behind_a_prefix_the_page_asks_for_a_key_and_keeps_it(
         expect(page.get_by_role("region", name="Structure in 3D")).to_be_visible()
         assert watched.foreign == []
         assert all("401" in error for error in watched.errors), watched.errors
+
+
+def test_the_bare_address_lets_nobody_in_and_the_printed_one_does(
+    context: BrowserContext, live: Live
+) -> None:
+    page = context.new_page()
+    page.goto(live.url)
+    needed = page.get_by_role("heading", name="This service needs a key")
+    expect(needed).to_be_visible()
+    expect(page.get_by_text("fewview open")).to_be_visible()
+    printed = f"{live.url}/#key={live.page_key}/models"
+    page.goto(printed)  # in the tab that asks for it, which loads nothing anew
+    expect(page.get_by_role("heading", name="Models", level=1)).to_be_visible()
+    assert page.url == f"{live.url}/#/models"
+    page.evaluate("sessionStorage.setItem('fewview-key', 'of an earlier start')")
+    page.reload()
+    page.get_by_label("Key").fill(printed)  # the whole of what was printed
+    page.get_by_role("button", name="Go on").click()
+    expect(page.get_by_role("heading", name="Models", level=1)).to_be_visible()
+    page.goto(f"{live.url}/docs")  # whose requests have the key, too
+    expect(page.get_by_role("button", name="Authorize")).to_have_class(re.compile("locked"))
+
+
+def test_anothers_page_at_localhost_is_not_the_owners(context: BrowserContext, live: Live) -> None:
+    """As if another user listened on ::1: the browser takes its page for one of the same origin."""
+    there = live.url.replace("127.0.0.1", "localhost")
+    page = context.new_page()
+    page.route(f"{there}/", lambda route: route.fulfill(body="mine", content_type="text/html"))
+    page.goto(f"{there}/")
+    for method, path in (("GET", "/datasets"), ("GET", "/keys/page"), ("POST", "/keys")):
+        asked = f"fetch('{path}', {{method: '{method}'}}).then(answer => answer.status)"
+        assert page.evaluate(asked) == 401, path
+    page.unroute(f"{there}/")
+    page.goto(f"{there}/page/none")  # its own address, where no page of others was
+    assert page.evaluate("fetch('/version').then(answer => answer.status)") == 401
 
 
 def opened(page: Page, screen: str) -> None:
