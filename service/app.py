@@ -103,6 +103,9 @@ RESOURCES = (
     metrics,
 )
 
+# What every route refuses, in this order.
+REFUSALS = (refuse_foreign_changes, refuse_unknown_query, refuse_if_changed)
+
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
 # Files of detectors that are read beside as many as there may be large uploads: reading may take
@@ -177,11 +180,7 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
         generate_unique_id_function=_operation_id,
         docs_url=None,
         redoc_url=None,
-        dependencies=[
-            Depends(refuse_foreign_changes),
-            Depends(refuse_unknown_query),
-            Depends(refuse_if_changed),
-        ],
+        dependencies=[Depends(refuse) for refuse in REFUSALS],
     )
     app.state.settings = settings
     app.state.local_owner = LocalOwner(settings, page_key or new_token())

@@ -140,7 +140,7 @@ def test_the_connections_that_count_rates_are_closed(settings: Settings) -> None
             return len([c for c in redis.client_list() if c["db"] == "7"])
 
         before = connections()
-        with TestClient(create_app(apart)) as client:
+        with TestClient(create_app(apart), "http://127.0.0.1") as client:
             store: Store = client.app.state.store  # type: ignore[attr-defined]
             quotas = Quotas(requests_per_second=100)
             _, token = access_keys.create(store, name="c", scopes=["read"], quotas=quotas)

@@ -76,7 +76,7 @@ def test_what_is_stored_elsewhere_is_its_users_alone_too(tmp_path: Path) -> None
     assert [path for path in made if stat.S_IMODE(path.stat().st_mode) & OPEN] == []
     for name in ("records.db", "records.db-wal"):
         (elsewhere / name).chmod(0o644)
-    ran = run(python("-m", "service.cli", "key", "list", *settings))
+    ran = run(python("-m", "service.cli", "key", "create", "x", *settings))
     assert (ran.returncode, stat.S_IMODE((elsewhere / "records.db").stat().st_mode)) == (0, 0o600)
 
 
