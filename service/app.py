@@ -37,8 +37,8 @@ from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
 from service.http.rates import Rates
 from service.http.request_ids import Watched
-from service.http.turns import Places, Threads, Turns
 from service.http.safe_headers import SafeHeaders
+from service.http.turns import Places, Threads, Turns
 from service.http.websockets import WebSocketConnection
 from service.page.documentation import serve_documentation
 from service.page.serving import serve_page
