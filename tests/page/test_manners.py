@@ -115,7 +115,7 @@ def test_every_screen_fits_hand_and_desk_and_who_cannot_see_it(
     with browser.new_context(
         viewport=HAND, color_scheme=scheme, has_touch=True, bypass_csp=True
     ) as context:
-        watched = watch(context.new_page(), live.url, live.page_key)
+        watched = watch(context.new_page(), live.url)
         for screen in screens:
             page = watched.open(stored.at(screen))
             opened(page, screen)

@@ -21,7 +21,7 @@ def test_an_upload_that_broke_is_finished_another_day(
     skeleton = {"keypoint_names": np.array(NAMES), "edges": np.array(EDGES), "fps": 50.0}
     file = tmp_path / "march.npz"
     file.write_bytes(to_npz(keypoints=keypoints, **skeleton))
-    watched = watch(context.new_page(), live.url, live.page_key)
+    watched = watch(context.new_page(), live.url)
     page = watched.open("#/datasets/new")
     page.route("**/datasets", lambda route: route.abort("connectionreset"), times=1)
     page.route("**/frames", lambda route: route.abort("connectionreset"))
