@@ -8,12 +8,11 @@
     Names of the service, and web pages, that requests may come by.
 ``connections``, ``peers``
     Connections within bounds, and which user of this machine is at the other end of one.
-``limits``, ``uploads``, ``zips``
 ``authentication``, ``keyring``, ``local_owner``
     Who sends a request: the holder of a key, or the service's own user.
 ``safe_headers``
     What every answer forbids browsers to do with it.
-``limits``, ``uploads``
+``limits``, ``uploads``, ``zips``
     Bodies on their way in, held to their limits.
 ``head``
     HEAD wherever there is a GET.
