@@ -6,6 +6,11 @@ import type { Dataset } from "../api/resources.ts";
 import { words } from "../parts/format.ts";
 import { fieldsOf, valueOf, type Field } from "./config_fields.ts";
 
+/** What people change; the other fields are behind a fold of their own. */
+const USUAL = ["cameras", "cameras_alike", "refine", "steps", "seed"];
+
+type Texts = Record<string, string>;
+
 export function ConfigForm({
   dataset,
   onChange,
@@ -13,7 +18,7 @@ export function ConfigForm({
   dataset: Dataset;
   onChange: (config: Record<string, unknown>) => void;
 }) {
-  const [texts, setTexts] = useState<Record<string, string>>({});
+  const [texts, setTexts] = useState<Texts>({});
   const [length, setLength] = useState({ from: "", to: "", length: "" });
   const [fields, setFields] = useState<Field[] | null>(null);
   const names = dataset.skeleton?.keypoint_names ?? Array.from({ length: dataset.keypoints }, (_, index) => `${index}`);
@@ -80,23 +85,54 @@ export function ConfigForm({
         {fields === null ? (
           <p class="quiet">Loading …</p>
         ) : (
-          <div class="fields advanced">
-            {fields.map((field) => (
-              <div class="field" key={field.name}>
-                <label for={`config-${field.name}`}>{words(field.name)}</label>
-                <Input
-                  field={field}
-                  text={texts[field.name] ?? ""}
-                  onText={(text) => setTexts({ ...texts, [field.name]: text })}
-                />
-                <small class="quiet" id={`about-${field.name}`}>
-                  {field.description}
-                </small>
-              </div>
-            ))}
-          </div>
+          <>
+            <Fields fields={fields.filter(({ name }) => USUAL.includes(name))} texts={texts} setTexts={setTexts} />
+            <details>
+              <summary>All other settings</summary>
+              <Fields fields={fields.filter(({ name }) => !USUAL.includes(name))} texts={texts} setTexts={setTexts} />
+            </details>
+          </>
         )}
       </details>
+    </div>
+  );
+}
+
+interface FieldsProps {
+  fields: Field[];
+  texts: Texts;
+  setTexts: (texts: Texts) => void;
+}
+
+function Fields({ fields, texts, setTexts }: FieldsProps) {
+  const [explained, setExplained] = useState<string | null>(null); // the field whose help is open
+  return (
+    <div class="fields advanced">
+      {fields.map((field) => (
+        <div class="field" key={field.name}>
+          <span class="named-field">
+            <label for={`config-${field.name}`}>{words(field.name)}</label>
+            <button
+              type="button"
+              class="help"
+              aria-label={`What ${words(field.name)} means`}
+              aria-expanded={explained === field.name}
+              aria-controls={`about-${field.name}`}
+              onClick={() => setExplained(explained === field.name ? null : field.name)}
+            >
+              ?
+            </button>
+          </span>
+          <Input
+            field={field}
+            text={texts[field.name] ?? ""}
+            onText={(text) => setTexts({ ...texts, [field.name]: text })}
+          />
+          <small class="quiet" id={`about-${field.name}`} hidden={explained !== field.name}>
+            {field.description.replaceAll("`", "")}
+          </small>
+        </div>
+      ))}
     </div>
   );
 }

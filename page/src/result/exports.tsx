@@ -6,7 +6,7 @@ import type { Fit } from "../api/resources.ts";
 import { downloadsOf } from "../models/downloads.ts";
 import { Downloads, type Entry } from "../parts/downloads.tsx";
 import { Icon } from "../parts/icons.tsx";
-import { record } from "./recording.ts";
+import { filmKind, record } from "./recording.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useShow } from "./show.ts";
 import { hasUnit } from "./unit.ts";
@@ -22,6 +22,8 @@ const ANIMATIONS = [
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take } = useShow();
   const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
+  const [range, setRange] = useState({ first: "", last: "" });
+  const { slice, part } = sliceOf(range, take.frames);
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
     const query = `format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`;
@@ -31,7 +33,11 @@ export function Exports({ stage }: { stage: Stage | null }) {
     <>
       <Downloads
         groups={[
-          ["Structures and cameras of every frame", structuresOf(fit, room)],
+          [
+            "Structures and cameras",
+            structuresOf(fit, `${room}${slice}`, part),
+            <RangeChoice key="range" range={range} setRange={setRange} frames={take.frames} />,
+          ],
           ["Animation, for other tools", animations, <UnitChoice key="unit" unit={unit} setUnit={setUnit} />],
           ...downloadsOf(model.id, cameras),
           ["Capture, as it was uploaded", [["npz", `datasets/${fit.dataset_id}/capture`, `${fit.dataset_id}.npz`]]],
@@ -43,13 +49,46 @@ export function Exports({ stage }: { stage: Stage | null }) {
   );
 }
 
-/** Returns what can be saved of a fit's structures and cameras, in a frame of reference. */
-export function structuresOf(fit: Fit, frame = ""): Entry[] {
+/** Returns what can be saved of a fit's structures and cameras: with a query of
+ * frames and of a frame of reference, in files whose names have the part. */
+export function structuresOf(fit: Fit, query = "", part = ""): Entry[] {
   return ["npz", "safetensors", "json"].map((format) => [
     format,
-    `fits/${fit.id}/reconstruction?format=${format}${frame}`,
-    `${fit.id}.${format}`,
+    `fits/${fit.id}/reconstruction?format=${format}${query}`,
+    `${fit.id}${part}.${format}`,
   ]);
+}
+
+interface Range {
+  first: string; // as they are typed
+  last: string;
+}
+
+/** Returns the query of a range of frames and what a file of it is called; nothing for all. */
+function sliceOf({ first, last }: Range, frames: number): { slice: string; part: string } {
+  if (first === "" && last === "") return { slice: "", part: "" };
+  const start = Math.min(Math.max(0, Math.round(Number(first))), frames - 1);
+  const end = last === "" ? frames - 1 : Math.min(Math.max(start, Math.round(Number(last))), frames - 1);
+  return { slice: `&frames=${start}:${end + 1}`, part: `-${start}-${end}` };
+}
+
+function RangeChoice({ range, setRange, frames }: { range: Range; setRange: (range: Range) => void; frames: number }) {
+  const field = (which: keyof Range, placeholder: number, label: string) => (
+    <input
+      type="number"
+      aria-label={label}
+      min={0}
+      max={frames - 1}
+      placeholder={`${placeholder}`}
+      value={range[which]}
+      onInput={(event) => setRange({ ...range, [which]: event.currentTarget.value })}
+    />
+  );
+  return (
+    <span class="range-choice">
+      , frames {field("first", 0, "First frame of the file")} to {field("last", frames - 1, "Last frame of the file")}
+    </span>
+  );
 }
 
 /** The unit of the lengths that the fit was given, which nobody states but who gave them. */
@@ -68,11 +107,12 @@ function UnitChoice({ unit, setUnit }: { unit: string; setUnit: (unit: string) =
 
 function Pictures({ stage }: { stage: Stage }) {
   const { fit, player } = useShow();
+  const kind = filmKind();
   const [stop, setStop] = useState<(() => void) | null>(null);
   const start = () => {
     const stopping = record(stage.canvas, player, (film) => {
       setStop(null);
-      saveBlob(film, `${fit.id}.webm`);
+      saveBlob(film, `${fit.id}${kind.suffix}`);
     });
     setStop(() => stopping);
   };
@@ -88,7 +128,7 @@ function Pictures({ stage }: { stage: Stage }) {
           <Icon name="picture" /> PNG
         </button>
         <button onClick={stop ?? start} aria-pressed={stop !== null}>
-          <Icon name="film" /> {stop === null ? "WebM, all frames" : "Stop recording"}
+          <Icon name="film" /> {stop === null ? `${kind.name}, all frames` : "Stop recording"}
         </button>
       </span>
     </div>

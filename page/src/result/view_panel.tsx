@@ -18,18 +18,19 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
   const drawing = useMemo(() => createViewDrawing(take, view), [take, view]);
   const partOf = useMemo(() => partsOf(take, view, crop), [take, view, crop, done]);
   const [film, setFilm] = useState<Film | null>(null);
+  const [offset, setOffset] = useState(0); // of the film, in frames of the capture
 
   useEffect(() => {
     const context = canvas.current?.getContext("2d") ?? null;
     if (context === null) return undefined;
     return loop.add(() => {
-      const picture = film?.at(player.frame, player.rate) ?? null;
+      const picture = player.frame + offset < 0 ? null : (film?.at(player.frame + offset, player.rate) ?? null);
       const frame = nearest(take, player.frame);
       drawing.draw(context, frame, theme, partOf(frame), selected, picture);
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [drawing, partOf, theme, selected, loop, film]);
+  }, [drawing, partOf, theme, selected, loop, film, offset]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
@@ -68,9 +69,39 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
         <label class="button small" title="A video or images of this view. They stay in this browser.">
           <Icon name="picture" />
           <span class="unseen">Video or images of {name}, which stay in this browser</span>
-          <input type="file" accept="video/*,image/*" multiple onChange={(event) => open(event.currentTarget.files)} />
+          <input
+            type="file"
+            accept="video/*,image/*"
+            multiple
+            onChange={({ currentTarget }) => {
+              open(currentTarget.files);
+              currentTarget.value = ""; // so that the same can be chosen again
+            }}
+          />
         </label>
       </figcaption>
+      {film !== null && (
+        <div class="film">
+          <label>
+            Offset in frames
+            <input
+              type="number"
+              step={1}
+              value={offset}
+              title="Frame 0 of the capture shows this frame of the video"
+              onInput={(event) => setOffset(Math.round(Number(event.currentTarget.value)))}
+            />
+          </label>
+          <button
+            onClick={() => {
+              setFilm(null);
+              setOffset(0);
+            }}
+          >
+            Remove <span class="unseen">the video or images of {name}</span>
+          </button>
+        </div>
+      )}
       <canvas ref={canvas} role="img" aria-label={`${name}: detected keypoints, and the structure projected`} />
     </figure>
   );
