@@ -53,8 +53,8 @@ export function CalibrationChoice({ dataset, onChange }: { dataset: Dataset; onC
           </span>
         </label>
       )}
-      <label>
-        {own === null ? "Calibration file" : "or another file"}{" "}
+      <label class="button chooser">
+        {own === null ? "Calibration file" : "Another calibration file"}
         <input
           type="file"
           multiple

@@ -214,11 +214,11 @@ function DropZone({ onFiles }: { onFiles: (files: Placed[]) => void }) {
       <Icon name="file" />
       <strong>Drop a file or folder for each camera here, or the folder that they are in</strong>
       <div class="buttons">
-        <label class="button">
+        <label class="button chooser">
           Choose files
           <input type="file" multiple onChange={(event) => onFiles(chosen(event.currentTarget.files))} />
         </label>
-        <label class="button">
+        <label class="button chooser">
           Choose a folder
           <input
             type="file"
@@ -244,9 +244,9 @@ function GroupList({ files, onRemove }: { files: Placed[]; onRemove: (files: Pla
     <ul class="files" aria-label="Files to send">
       {groups.map((group) => (
         <li key={group.name}>
-          <span>{group.name}</span>
+          <span>{group.files.length === 1 ? group.files[0]?.path : group.name}</span>
           <span class="quiet">
-            {group.name.endsWith("/") && `${count(group.files.length, "file")}, `}
+            {group.files.length > 1 && `${count(group.files.length, "file")}, `}
             {bytes(group.files.reduce((sum, { file }) => sum + file.size, 0))}
           </span>
           <button

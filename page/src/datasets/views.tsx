@@ -18,7 +18,7 @@ export function Views({ views, onChange }: { views: WantedView[]; onChange: (vie
     onChange(next);
   };
   return (
-    <ol class="views" aria-label="Views, in this order">
+    <ol class="wanted-views" aria-label="Views, in this order">
       {views.map((view, at) => (
         <li key={view.source}>
           <input
