@@ -39,8 +39,8 @@ def month(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterato
                 put_fit(records, ids[0], walking(), KEYPOINTS, name=name, skeleton=SKELETON)
         for number in range(FITS - 2):
             seeded = {"config": {"seed": number}} if number % 2 else {}
-            body = {"dataset_id": ids[number + 1], "name": f"try {number}", **seeded}
-            made = live.http.post("/fits", json=body)
+            asked = {"dataset_id": ids[number + 1], "name": f"try {number}", **seeded}
+            made = live.http.post("/fits", json=asked)
             live.http.post(f"{made.headers['Location']}/cancel").raise_for_status()
         yield live
     finally:
