@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
 from tests.page.conftest import Watched
 from tests.page.stored import NAMES, Stored
 from tests.service.conftest import Live
+from tests.waiting import wait_for
+
+GREEN = (90, 140, 90)
 
 
 def opened(watched: Watched, stored: Stored) -> Page:
@@ -152,3 +156,48 @@ def test_the_angle_of_a_knee_is_a_curve_that_is_sought_on_and_saved(
     expect(page.locator(".curves .curve")).to_have_accessible_name(re.compile("per second"))
     page.keyboard.press("Escape")
     expect(page.locator(".curves")).to_have_count(0)
+
+
+def test_a_range_of_frames_is_saved_and_a_picture_under_a_view_moved_and_removed(
+    watched: Watched, stored: Stored, tmp_path: Path
+) -> None:
+    page = opened(watched, stored)
+    page.get_by_label("First frame of the file").fill("5")
+    page.get_by_label("Last frame of the file").fill("9")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="npz").first.click()
+    with np.load(saved.value.path()) as arrays:
+        assert arrays["points3d"].shape == (5, len(NAMES), 3)
+    picture = tmp_path / "picture.png"
+    Image.new("RGB", (640, 480), GREEN).save(picture)
+    view = page.locator("figure.view").first
+
+    def shown() -> bool:
+        pixels = np.array(Image.open(io.BytesIO(view.screenshot())).convert("RGB"))
+        return bool((pixels == GREEN).all(-1).any())
+
+    view.locator("input[type=file]").set_input_files(picture)
+    wait_for(shown, "the picture", 30)
+    page.get_by_label("Offset in frames").fill("-11")  # frame 10 is before the first picture
+    wait_for(lambda: not shown(), "a view without it", 30)
+    page.get_by_label("Offset in frames").fill("-10")
+    wait_for(shown, "the picture", 30)
+    page.get_by_role("button", name="Remove the video or images").click()
+    wait_for(lambda: not shown(), "a view without it", 30)
+    expect(page.get_by_label("Offset in frames")).to_have_count(0)
+
+
+def test_five_settings_are_before_the_others_and_help_comes_when_asked_for(
+    watched: Watched, stored: Stored
+) -> None:
+    page = watched.open(f"#/datasets/{stored.dataset}")
+    page.get_by_text("Advanced").click()
+    labels = page.locator(".fields.advanced label:visible")
+    expect(labels).to_have_count(5)
+    about = page.locator("#about-cameras_alike")
+    expect(about).to_be_hidden()
+    page.get_by_role("button", name="What Cameras alike means").press("Enter")
+    expect(about).to_be_visible()
+    assert "`" not in page.locator(".config").inner_text()
+    page.get_by_text("All other settings").click()
+    assert labels.count() > 10
