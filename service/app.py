@@ -63,6 +63,7 @@ from service.resources import (
     previews,
     queues,
     reconstructions,
+    skeletons,
     storage,
     webhooks,
 )
@@ -84,6 +85,7 @@ RESOURCES = (
     stream,
     watch,
     datasets,
+    skeletons,
     previews,
     captures,
     fits,

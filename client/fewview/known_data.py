@@ -16,7 +16,7 @@ import numpy as np
 from fewview.capture import Capture
 from fewview.errors import FormatError
 from fewview.readers import pickles
-from fewview.readers.skeletons import SKELETONS
+from fewview.readers.skeletons import NAMED, SKELETONS
 
 MAX_BYTES = 2**31  # of what is read into memory at once
 
@@ -25,14 +25,8 @@ H36M_JOINTS = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 H36M_CAMERAS = ("54138969", "55011271", "58860488", "60457274")
 H36M_FPS = 50.0
 
-MACAQUE = (
-    *("nose", "head", "neck", "right_shoulder", "right_hand", "left_shoulder", "left_hand"),
-    *("hip", "right_knee", "right_foot", "left_knee", "left_foot", "tail"),
-)
-MACAQUE_EDGES = (
-    *((0, 1), (1, 2), (2, 3), (3, 4), (2, 5), (5, 6), (2, 7)),
-    *((7, 8), (8, 9), (7, 10), (10, 11), (7, 12)),
-)
+MACAQUE = NAMED["openmonkeystudio-13"]
+MACAQUE_POINTS = len(MACAQUE.names)
 OMS_IMAGE = re.compile(r"\Abatch(\w+?)_(\d+)_(\d+)\.jpg")  # batch, frame, camera
 
 File = str | PathLike[str]
@@ -125,19 +119,21 @@ def openmonkeystudio(folder: File, *, batch: str) -> Capture:
     """
     place = Path(folder) / f"Batch{batch}"
     try:
-        points = _of_mat(place / "coords_3D.mat", "coords").reshape(-1, len(MACAQUE), 4)
+        points = _of_mat(place / "coords_3D.mat", "coords").reshape(-1, MACAQUE_POINTS, 4)
         crops = _of_mat(place / "crop_para.mat", "crop").reshape(-1, 6)
         labelled = _of_mat(Path(folder) / "Data.mat", "T")
         images = [OMS_IMAGE.fullmatch(str(name)) for name in np.atleast_1d(labelled["name"])]
-        labels = np.asarray(labelled["data"], np.float64).reshape(len(images), 4 + 2 * len(MACAQUE))
+        labels = np.asarray(labelled["data"], np.float64).reshape(
+            len(images), 4 + 2 * MACAQUE_POINTS
+        )
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise FormatError(f"expected the files of OMS_Data ({error})", place=folder) from error
     if (points[..., :1] != points[:, :1, :1]).any():
-        raise FormatError(f"{place}: expected {len(MACAQUE)} rows of coordinates for each frame")
+        raise FormatError(f"{place}: expected {MACAQUE_POINTS} rows of coordinates for each frame")
     frames = {int(number): index for index, number in enumerate(points[:, 0, 0])}
     cameras = {int(number): index for index, number in enumerate(np.unique(crops[:, 1]))}
     corners = {(int(crop[0]), int(crop[1])): crop[2:4] for crop in crops}
-    keypoints = np.full((len(frames), len(cameras), len(MACAQUE), 2), np.nan, np.float32)
+    keypoints = np.full((len(frames), len(cameras), MACAQUE_POINTS, 2), np.nan, np.float32)
     for image, label in zip(images, labels, strict=True):
         if image is None or image[1] != batch:
             continue
@@ -148,8 +144,8 @@ def openmonkeystudio(folder: File, *, batch: str) -> Capture:
     return Capture(
         keypoints,
         points3d=points[..., 1:].astype(np.float32),
-        keypoint_names=MACAQUE,
-        edges=MACAQUE_EDGES,
+        keypoint_names=MACAQUE.names,
+        edges=MACAQUE.edges,
         view_names=tuple(map(str, cameras)),
     )
 

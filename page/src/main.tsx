@@ -4,6 +4,7 @@ import { App } from "./app.tsx";
 import { currentRoute } from "./route.ts";
 import "./style/base.css";
 import "./style/screens.css";
+import "./style/remedies.css";
 import "./style/result.css";
 
 takeKeyFromAddress();

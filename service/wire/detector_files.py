@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from fewview.errors import FormatError
 from fewview.readers.registry import NAMES
-from fewview.readers.skeletons import SKELETONS
+from fewview.readers.skeletons import NAMED
 from fewview.reading_options import ReadingOptions
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -90,7 +90,7 @@ class DetectorReading(BaseModel):
         description="Of `files`: which views show mirror images, such as `cam2`.",
     )
     skeleton_name: str = Field(
-        "", description=f"Of `files`: names the keypoints: {', '.join(SKELETONS)}."
+        "", description=f"Of `files`: names the keypoints: {', '.join(NAMED)}."
     )
 
 

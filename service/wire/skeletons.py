@@ -3,12 +3,14 @@
 from collections import Counter
 from typing import Annotated
 
+from fewview.readers.skeletons import NAMED
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.keypoints import MAX_KEYPOINTS
 from service.http.errors import invalid
 from store.labels import Text
 
+TITLE = "The usual name of the model or data set that has these keypoints."
 KeypointName = Annotated[Text, Field(min_length=1, max_length=100)]
 Edge = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 
@@ -52,3 +54,25 @@ class Skeleton(BaseModel):
                     f"/skeleton/edges/{index}",
                     f"expected two different keypoints below {keypoints}, got [{a}, {b}]",
                 )
+
+
+class KnownSkeleton(BaseModel):
+    """A skeleton that has a name, as `skeleton_name` of an upload takes it."""
+
+    name: str
+    title: str = Field(description=TITLE)
+    keypoint_names: list[str]
+    edges: list[Edge]
+
+
+def known_skeletons() -> list[KnownSkeleton]:
+    """Return all skeletons that are known by name."""
+    return [
+        KnownSkeleton(
+            name=name,
+            title=known.title,
+            keypoint_names=list(known.names),
+            edges=[list(edge) for edge in known.edges],
+        )
+        for name, known in NAMED.items()
+    ]

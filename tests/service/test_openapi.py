@@ -38,6 +38,7 @@ from service.resources import (
     previews,
     queues,
     reconstructions,
+    skeletons,
     storage,
     webhooks,
 )
@@ -51,6 +52,7 @@ MODULES = (
     evaluations,
     fits,
     reconstructions,
+    skeletons,
     labels,
     models,
     lift,
@@ -165,6 +167,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "list_lifts",
         "list_models",
         "list_queues",
+        "list_skeletons",
         "list_webhook_deliveries",
         "list_webhooks",
         "preview_calibration",

@@ -20,6 +20,7 @@ class Finding:
     """Something that was noticed, and what to do about it.
 
     No views, frames or keypoints mean all of them. ``frames`` are ranges: the first and the last.
+    ``remedy_fields`` are those of the API in which the remedy can be given.
     """
 
     code: str
@@ -30,6 +31,7 @@ class Finding:
     frames: tuple[tuple[int, int], ...] = ()
     keypoints: tuple[int, ...] = ()
     evidence: dict[str, float] = field(default_factory=dict)
+    remedy_fields: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,50 +1,18 @@
 """Skeletons that are known by name: the names of keypoints and what joins them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 from fewview.errors import FormatError
+from fewview.readers.chains import Skeleton, both, sides, skeleton
+from fewview.readers.other_skeletons import OTHERS
 from fewview.readers.views import Edges
-
-
-@dataclass(frozen=True)
-class Skeleton:
-    """P names of keypoints and the pairs of them that are joined."""
-
-    title: str
-    names: tuple[str, ...]
-    edges: Edges
-
-
-def _skeleton(title: str, names: str, joined: str) -> Skeleton:
-    """Build one from words and from chains of words, such as ``left_hip-left_knee-left_ankle``."""
-    words = tuple(names.split())
-    place = {name: index for index, name in enumerate(words)}
-    edges: list[tuple[int, int]] = []
-    for chain in joined.split():
-        links = [place[name] for name in chain.split("-")]
-        edges += pairwise(links)
-    return Skeleton(title, words, tuple(edges))
-
-
-def _both(chains: str) -> str:
-    """Return chains with L and R in place of each ``*``."""
-    return " ".join(chain.replace("*", side) for chain in chains.split() for side in ("L", "R"))
-
-
-def _sides(chains: str) -> str:
-    """Return chains with left and right in place of each ``*``."""
-    words = chains.split()
-    return " ".join(word.replace("*", side) for word in words for side in ("left", "right"))
-
 
 _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow "
     "right_elbow left_wrist right_wrist left_hip right_hip left_knee right_knee left_ankle "
     "right_ankle"
 )
-_COCO_EDGES = _sides(
+_COCO_EDGES = sides(
     "nose-*_eye-*_ear *_shoulder-*_elbow-*_wrist *_shoulder-*_hip-*_knee-*_ankle"
 ) + (" left_shoulder-right_shoulder left_hip-right_hip")
 _HAND = "wrist " + " ".join(
@@ -57,7 +25,7 @@ _HAND_EDGES = " ".join(
     for finger in ("thumb", "index", "middle", "ring", "pinky")
 )
 _FEET = "left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel"
-_FEET_EDGES = _sides("*_ankle-*_heel *_ankle-*_big_toe-*_small_toe")
+_FEET_EDGES = sides("*_ankle-*_heel *_ankle-*_big_toe-*_small_toe")
 _BODY_25 = (
     "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee "
     "LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
@@ -98,54 +66,58 @@ def _whole_body() -> tuple[str, str]:
 
 
 SKELETONS = {
-    "coco-17": _skeleton("COCO-17", _COCO, _COCO_EDGES),
-    "body-25": _skeleton(
+    "coco-17": skeleton("COCO-17", _COCO, _COCO_EDGES),
+    "body-25": skeleton(
         "BODY_25",
         _BODY_25,
-        _both(
+        both(
             "Nose-*Eye-*Ear Neck-*Shoulder-*Elbow-*Wrist MidHip-*Hip-*Knee-*Ankle "
             "*Ankle-*BigToe-*SmallToe *Ankle-*Heel"
         )
         + " Nose-Neck-MidHip",
     ),
-    "body-25b": _skeleton(
+    "body-25b": skeleton(
         "BODY_25B",
         _BODY_25B,
-        _both(
+        both(
             "Nose-*Eye-*Ear Neck-*Shoulder-*Elbow-*Wrist *Shoulder-*Hip-*Knee-*Ankle "
             "*Ankle-*BigToe-*SmallToe *Ankle-*Heel"
         )
         + " Nose-Neck-Head LHip-RHip",
     ),
-    "coco-133": _skeleton("COCO-133", *_whole_body()),
-    "h36m-17": _skeleton(
+    "coco-133": skeleton("COCO-133", *_whole_body()),
+    "h36m-17": skeleton(
         "H36M-17",
         _H36M,
-        _sides("pelvis-*_hip-*_knee-*_ankle thorax-*_shoulder-*_elbow-*_wrist")
+        sides("pelvis-*_hip-*_knee-*_ankle thorax-*_shoulder-*_elbow-*_wrist")
         + " pelvis-spine-thorax-neck-head",
     ),
-    "halpe-26": _skeleton(
+    "halpe-26": skeleton(
         "Halpe-26",
         f"{_COCO} head neck hip left_big_toe right_big_toe left_small_toe right_small_toe "
         "left_heel right_heel",
-        _sides(
+        sides(
             "nose-*_eye-*_ear neck-*_shoulder-*_elbow-*_wrist hip-*_hip-*_knee-*_ankle "
             "*_ankle-*_heel *_ankle-*_big_toe-*_small_toe"
         )
         + " head-neck-hip",
     ),
-    "mediapipe-33": _skeleton(
+    "mediapipe-33": skeleton(
         "MediaPipe-33",
         _MEDIAPIPE,
-        _sides(
+        sides(
             "nose-*_eye_inner-*_eye-*_eye_outer-*_ear *_shoulder-*_elbow-*_wrist-*_pinky-*_index "
             "*_wrist-*_index *_wrist-*_thumb *_shoulder-*_hip-*_knee-*_ankle-*_heel-*_foot_index "
             "*_ankle-*_foot_index"
         )
         + " mouth_left-mouth_right left_shoulder-right_shoulder left_hip-right_hip",
     ),
-    "hands-21": _skeleton("hands-21", _HAND, _HAND_EDGES),
+    "hands-21": skeleton("hands-21", _HAND, _HAND_EDGES),
 }
+
+
+# Whose numbers of keypoints mean them where nothing has names, and those that names alone mean.
+NAMED = SKELETONS | OTHERS
 
 
 def _plain(name: str) -> str:
@@ -170,10 +142,10 @@ def skeleton_of(
         If there is no skeleton of this name, or it has another count.
     """
     if name is not None:
-        found = next((one for each, one in SKELETONS.items() if _plain(each) == _plain(name)), None)
+        found = next((one for each, one in NAMED.items() if _plain(each) == _plain(name)), None)
         if found is None:
             raise FormatError(
-                f"there is no skeleton {name!r}; there are {', '.join(SKELETONS)}",
+                f"there is no skeleton {name!r}; there are {', '.join(NAMED)}",
                 option="skeleton",
             )
         if len(found.names) != count:
@@ -194,7 +166,7 @@ def edges_of(names: Sequence[str]) -> Edges | None:
     None if there is none.
     """
     place = {_plain(name): index for index, name in enumerate(names)}
-    for known in SKELETONS.values():
+    for known in NAMED.values():
         own = [_plain(name) for name in known.names]
         if len(names) == len(own) and place.keys() == set(own):
             return tuple((place[own[a]], place[own[b]]) for a, b in known.edges)

@@ -61,6 +61,12 @@ export async function askJson<T>(path: string, init?: RequestInit): Promise<T> {
   return (await (await ask(path, init)).json()) as T;
 }
 
+/** Returns an answer and its entity tag, with which a change is refused if another came before it. */
+export async function askTagged<T>(path: string): Promise<{ found: T; tag: string | null }> {
+  const answer = await ask(path);
+  return { found: (await answer.json()) as T, tag: answer.headers.get("ETag") };
+}
+
 export async function askBytes(path: string): Promise<ArrayBuffer> {
   return (await ask(path)).arrayBuffer();
 }
@@ -79,10 +85,11 @@ export async function askRange(
   return { bytes, size };
 }
 
-export function sendJson<T>(path: string, body: unknown, method = "POST"): Promise<T> {
+/** @param tag of what the body changes, if that must not have changed meanwhile */
+export function sendJson<T>(path: string, body: unknown, method = "POST", tag: string | null = null): Promise<T> {
   return askJson<T>(path, {
     method,
     body: JSON.stringify(body),
-    headers: { "Content-Type": "application/json" },
+    headers: { "Content-Type": "application/json", ...(tag !== null && { "If-Match": tag }) },
   });
 }

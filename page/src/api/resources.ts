@@ -1,6 +1,6 @@
 /** The service's resources that the page shows, in the types of its OpenAPI document. */
 
-import { ask, askBytes, askJson, sendJson } from "./http.ts";
+import { ask, askBytes, askJson, askTagged, sendJson } from "./http.ts";
 import type { components } from "./openapi.d.ts";
 
 type Schemas = components["schemas"];
@@ -13,6 +13,7 @@ export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
 export type Finding = Schemas["Finding"];
 export type Alias = Schemas["Alias"];
+export type KnownSkeleton = Schemas["KnownSkeleton"];
 export type Storage = Schemas["Storage"];
 export type WaitingJobs = Schemas["WaitingJobs"];
 export type LiftStream = Schemas["LiftStream"];
@@ -21,6 +22,13 @@ export type Kind = "datasets" | "fits" | "models";
 
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
+export const readDataset = async (id: string) => {
+  const { found, tag } = await askTagged<Dataset>(`datasets/${encodeURIComponent(id)}`);
+  return { dataset: found, tag };
+};
+export const changeDataset = (id: string, change: object, tag: string | null = null) =>
+  sendJson<Dataset>(`datasets/${encodeURIComponent(id)}`, change, "PATCH", tag);
+export const listSkeletons = () => askJson<{ items: KnownSkeleton[] }>("skeletons");
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
 export const getCameras = (id: string) => askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
 export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;

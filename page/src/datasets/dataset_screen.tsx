@@ -8,10 +8,12 @@ import { captured } from "../fits/fits_screen.tsx";
 import { Tags } from "../lists/tags.tsx";
 import { Alert, Waiting } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
+import { Remediable } from "../remedies/provider.tsx";
+import { SkeletonPanel } from "../remedies/skeleton_panel.tsx";
 import { goTo, linkTo } from "../route.ts";
 import { CalibrationChoice, NOTHING_GIVEN } from "./calibration.tsx";
 import { ConfigForm } from "./config_form.tsx";
-import { fullestFrame, type Drawn } from "./preview.ts";
+import { drawnAs, fullestFrame, type Drawn } from "./preview.ts";
 import { Understood } from "./understood.tsx";
 
 export function DatasetScreen({ id }: { id: string }) {
@@ -45,6 +47,11 @@ export function DatasetScreen({ id }: { id: string }) {
     setBusy(false);
   };
   if (dataset === null) return <Waiting trouble={trouble} />;
+  const taken = (changed: Dataset) => {
+    setDataset(changed);
+    if (frame !== null) setFrame(drawnAs(frame, changed));
+  };
+  const subject = { dataset, fit: null, take: null, picture: frame, selected: null, onDataset: taken };
   return (
     <main>
       <header class="title">
@@ -52,10 +59,13 @@ export function DatasetScreen({ id }: { id: string }) {
         <span class="quiet">{captured(dataset)}</span>
       </header>
       <Tags key={dataset.id} kind="datasets" id={dataset.id} tags={dataset.tags} />
-      <section class="panel">
-        <h2>What was understood</h2>
-        <Understood facts={dataset} frame={frame} />
-      </section>
+      <Remediable subject={subject}>
+        <section class="panel">
+          <h2>What was understood</h2>
+          <Understood facts={dataset} frame={frame} />
+        </section>
+        <SkeletonPanel onSaved={taken} />
+      </Remediable>
       <section class="panel">
         <h2>Fit it</h2>
         <p>The defaults suit most captures. A minute or two for a thousand frames; you may close the page meanwhile.</p>

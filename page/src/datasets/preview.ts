@@ -1,10 +1,11 @@
 /** Draws the detected keypoints of one frame of a view. */
 
+import type { Dataset } from "../api/resources.ts";
 import type { CaptureFile } from "../data/capture.ts";
 import { pixelRatio } from "../parts/canvas_size.ts";
 import { colourOf, readTheme } from "../parts/theme.ts";
 import { pairAt, pairsOf } from "../science/pairs.ts";
-import type { Side } from "../science/sides.ts";
+import { sidesOf, type Side } from "../science/sides.ts";
 
 const MARGIN = 0.12;
 const PLACES = 8; // of a capture that are looked at
@@ -70,6 +71,12 @@ export async function fullestFrame({ capture, detected }: CaptureFile): Promise<
   }
   const seen = Array.from({ length: views }, (_, view) => best.subarray(view * size, (view + 1) * size));
   return { views: seen, edges, sides };
+}
+
+/** Returns a frame drawn with the skeleton that its dataset has now. */
+export function drawnAs(frame: Drawn, { skeleton }: Dataset): Drawn {
+  const edges = (skeleton?.edges ?? []) as [number, number][];
+  return { ...frame, edges, sides: sidesOf(skeleton?.keypoint_names ?? []) };
 }
 
 function evens(pixels: Float32Array, offset: number): number[] {

@@ -2,6 +2,8 @@
 
 import type { Fit } from "../api/resources.ts";
 import { FindingList } from "../parts/finding_list.tsx";
+import { Remediable } from "../remedies/provider.tsx";
+import { useSubjectOf } from "../remedies/use_subject_of.ts";
 import { linkTo } from "../route.ts";
 
 const WHAT_TO_DO: Record<string, string> = {
@@ -22,7 +24,9 @@ export function Failure({ fit }: { fit: Fit }) {
       <h2>{cancelled ? "This fit was cancelled" : "This fit failed"}</h2>
       {fit.error && <p>{fit.error.message}</p>}
       <p>{cancelled ? "What it had computed was dropped." : (WHAT_TO_DO[fit.error?.code ?? ""] ?? "")}</p>
-      <FindingList findings={fit.findings} />
+      <Remediable subject={useSubjectOf(fit)}>
+        <FindingList findings={fit.findings} />
+      </Remediable>
       <a class="button primary" href={linkTo("datasets", fit.dataset_id)}>
         To its dataset, to fit it again
       </a>

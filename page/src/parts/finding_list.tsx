@@ -1,8 +1,10 @@
 /** What was noticed, in words, at the views, keypoints and frames it concerns. */
 
+import { useContext } from "preact/hooks";
 import type { Finding } from "../api/resources.ts";
 import { number, words } from "./format.ts";
 import { Icon } from "./icons.tsx";
+import { RemedySlot } from "./remedy_slot.ts";
 
 interface Known {
   viewNames?: string[] | undefined;
@@ -14,6 +16,7 @@ interface Known {
 const MOST = 12; // of a list before it is cut
 
 export function FindingList({ findings, ...known }: { findings: Finding[] } & Known) {
+  const remedy = useContext(RemedySlot);
   if (findings.length === 0) {
     return (
       <p class="quiet">
@@ -32,6 +35,7 @@ export function FindingList({ findings, ...known }: { findings: Finding[] } & Kn
             <Where finding={finding} {...known} />
             <p>{withCode(finding.effect)}</p>
             {finding.remedy !== "" && <p class="remedy">{withCode(finding.remedy)}</p>}
+            {remedy?.(finding)}
             <Evidence numbers={finding.evidence ?? {}} />
           </div>
         </li>

@@ -13,6 +13,7 @@ import { Workspace } from "./workspace.tsx";
 
 export default function ResultScreen({ fit }: { fit: Fit }) {
   const [result, setResult] = useState<Result | null>(null);
+  const [loads, setLoads] = useState(0); // times that it was loaded again
   const placeholder = useRef<HTMLElement>(null);
   const [trouble, setTrouble] = useState<Error | null>(null);
   useEffect(() => {
@@ -27,7 +28,7 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     return () => {
       current = false;
     };
-  }, [fit.id]);
+  }, [fit.id, loads]);
   if (trouble instanceof Unplayable) return <Remains fit={fit} why={trouble.message} />;
   if (trouble !== null) {
     return (
@@ -39,7 +40,7 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     );
   }
   if (result === null) return <Placeholder stage={placeholder} />;
-  return <Workspace fit={fit} result={result} />;
+  return <Workspace fit={fit} result={result} onSkeleton={() => setLoads(loads + 1)} />;
 }
 
 /** What is left of a result that cannot be played, to be saved. */

@@ -13,6 +13,9 @@ import { Figures } from "./figures.tsx";
 import { Labels } from "./labels.tsx";
 import { Legend } from "./legend.tsx";
 import type { Stage } from "./scene/scene.ts";
+import { Remediable } from "../remedies/provider.tsx";
+import { SkeletonPanel } from "../remedies/skeleton_panel.tsx";
+import { useSubjectOf } from "../remedies/use_subject_of.ts";
 import { ShowContext, ShownContext, type Show } from "./show.ts";
 import { Timeline } from "./timeline.tsx";
 import { Transport } from "./transport.tsx";
@@ -20,11 +23,13 @@ import { TwoStages } from "./two_stages.tsx";
 import { useResult } from "./use_result.ts";
 import { ViewPanel } from "./view_panel.tsx";
 
-export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
+/** @param onSkeleton called after the dataset got another skeleton */
+export function Workspace({ fit, result, onSkeleton }: { fit: Fit; result: Result; onSkeleton: () => void }) {
   const [stage, setStage] = useState<Stage | null>(null);
   const [crop, setCrop] = useState<Crop>("subject");
   const show = useResult(fit, result, stage);
   const { take, player, findings } = show;
+  const subject = useSubjectOf(fit, { take, file: show.file, selected: show.selected.at(-1) ?? null });
   return (
     <Both show={show}>
       <div class="result" aria-busy={!show.done}>
@@ -46,18 +51,25 @@ export function Workspace({ fit, result }: { fit: Fit; result: Result }) {
           <section class="panel">
             <h2>What was noticed</h2>
             <WorstFrames />
-            <FindingList
-              findings={findings}
-              viewNames={take.viewNames}
-              keypointNames={take.names}
-              onFrame={(frame) => player.show(frame)}
-              onKeypoint={(keypoint) => show.setSelected([keypoint])}
-            />
+            <Remediable subject={subject}>
+              <FindingList
+                findings={findings}
+                viewNames={take.viewNames}
+                keypointNames={take.names}
+                onFrame={(frame) => player.show(frame)}
+                onKeypoint={(keypoint) => show.setSelected([keypoint])}
+              />
+            </Remediable>
           </section>
           <section class="panel">
             <h2>Figures</h2>
             <Figures />
           </section>
+          {subject !== null && (
+            <Remediable subject={subject}>
+              <SkeletonPanel onSaved={onSkeleton} />
+            </Remediable>
+          )}
           <section class="panel">
             <h2>Take it away</h2>
             <Exports stage={stage} />

@@ -1,0 +1,32 @@
+/** Fits the same capture again, with one thing changed and all else as before. */
+
+import { createFit, type Fit } from "../api/resources.ts";
+import { Alert } from "../parts/alert.tsx";
+import { goTo } from "../route.ts";
+import { useSubject } from "./subject.ts";
+import { useAttempt } from "./use_attempt.ts";
+
+/** Queues a fit like another, and returns it. */
+export function fitLike(fit: Fit, change: Record<string, unknown>): Promise<Fit> {
+  const { dataset_id, name, tags, config, from_model } = fit;
+  return createFit({ dataset_id, name, tags, config: { ...config, ...change }, ...(from_model && { from_model }) });
+}
+
+/** @param change of the configuration; null as long as it is not complete */
+export function FitAgain({ change }: { change: Record<string, unknown> | null }) {
+  const { fit } = useSubject();
+  const { busy, trouble, attempt } = useAttempt();
+  if (fit === null) return null;
+  const go = () => attempt(async () => goTo("fits", (await fitLike(fit, change ?? {})).id));
+  return (
+    <>
+      <Alert>{trouble}</Alert>
+      <div class="buttons">
+        <button class="primary" disabled={busy || change === null} onClick={go}>
+          Fit again with it
+        </button>
+        <span class="quiet">All else stays as it is. This fit stays, too.</span>
+      </div>
+    </>
+  );
+}

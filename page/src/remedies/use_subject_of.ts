@@ -1,0 +1,33 @@
+/** Loads what a remedy needs to know of a fit's dataset. */
+
+import { useEffect, useState } from "preact/hooks";
+import { getDataset, type Dataset, type Fit } from "../api/resources.ts";
+import type { CaptureFile } from "../data/capture.ts";
+import { remoteCapture } from "../data/remote.ts";
+import type { Take } from "../data/take.ts";
+import { fullestFrame, type Drawn } from "../datasets/preview.ts";
+import type { Subject } from "./subject.ts";
+
+interface Shown {
+  take?: Take;
+  file?: CaptureFile; // of the dataset, if it is open already
+  selected?: number | null;
+}
+
+/** Returns the subject of a fit's remedies; null until its dataset is there, or if it was deleted. */
+export function useSubjectOf(fit: Fit, { take, file, selected = null }: Shown = {}): Subject | null {
+  const [dataset, setDataset] = useState<Dataset | null>(null);
+  const [picture, setPicture] = useState<Drawn | null>(null);
+  useEffect(() => {
+    let current = true;
+    const nothing = () => {}; // the words do without
+    getDataset(fit.dataset_id).then((found) => current && setDataset(found), nothing);
+    const opened = file === undefined ? remoteCapture(fit.dataset_id) : Promise.resolve(file);
+    opened.then(fullestFrame).then((frame) => current && setPicture(frame), nothing);
+    return () => {
+      current = false;
+    };
+  }, [fit.dataset_id, file]);
+  if (dataset === null) return null;
+  return { dataset, fit, take: take ?? null, picture, selected, onDataset: setDataset };
+}

@@ -1,0 +1,63 @@
+"""Every remedy of a finding that names a field can be taken: over HTTP, by command, on the page."""
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+from fewview.commands.reading import OPTIONS
+
+from models.findings.catalogue import CATALOGUE, RemedyField
+from service.openapi import document
+
+ROOT = Path(__file__).parents[2]
+REGISTRY = ROOT / "page" / "src" / "remedies" / "registry.ts"
+OF_LIFTS = {"frame", "refine", "views"}
+OF_PROGRAMS = {"from_model", *OF_LIFTS}  # what is taken where one writes a request or a command
+OF_FILES = {"mirror"}  # whose control the form of an upload makes from the API's document
+OPTION = {"image_sizes": "image_size"}
+
+
+@cache
+def fields(schema: str) -> frozenset[str]:
+    return frozenset(json.loads(document())["components"]["schemas"][schema]["properties"])
+
+
+def places() -> dict[str, frozenset[str]]:
+    """Return which fields each form of the API has."""
+    names = ("DatasetChange", "DatasetCreateForm", "FitConfig", "FitCreate", "LiftCreate")
+    return {name: fields(name) for name in names}
+
+
+def test_a_remedy_lists_the_fields_that_it_names() -> None:
+    known = frozenset[str]().union(*places().values()) - {"name", "keypoints", "frame"}
+    # `times` come with the frames, and `synchronise` is `auto` unless somebody turned it off.
+    known -= {"times", "synchronise"}
+    for code, entry in CATALOGUE.items():
+        words = re.findall(r"`(\w+)[:`]", entry.remedy)
+        named = [word for word in words if word in known]
+        missing = [word for word in named if word not in entry.fields]
+        assert not missing, f"{code}: {missing} are named, and not in its fields"
+
+
+def test_every_field_of_a_remedy_is_in_the_api() -> None:
+    all_places = places()
+    for field in get_args(RemedyField.__value__):
+        found = [name for name, has in all_places.items() if field in has]
+        assert found, f"no form of the API has {field}"
+    used = {field for entry in CATALOGUE.values() for field in entry.fields}
+    assert used == set(get_args(RemedyField.__value__))
+
+
+def test_every_field_of_a_remedy_has_an_option_or_is_a_fit_s() -> None:
+    of_fits: frozenset[Any] = fields("FitConfig") | {"from_model"}  # `fewview fit -c`, --from-model
+    for field in set(get_args(RemedyField.__value__)) - of_fits - OF_LIFTS:
+        assert OPTION.get(field, field) in OPTIONS, field
+
+
+def test_every_field_of_a_remedy_has_a_control_on_the_page() -> None:
+    registered = set(re.findall(r"^  (\w+): \{ words:", REGISTRY.read_text(), re.MULTILINE))
+    wanted = set(get_args(RemedyField.__value__)) - OF_PROGRAMS - OF_FILES
+    assert registered == wanted
+    assert fields("DatasetCreateForm") >= OF_FILES
