@@ -54,31 +54,12 @@ LiftCode = TypeAliasType(
 FindingCode = CaptureCode | CameraCode | LiftCode
 
 
-RemedyField = TypeAliasType(
-    "RemedyField",
-    Literal[  # what a user can give or choose so that a finding goes
-        "fps",
-        "image_sizes",
-        "mirror",
-        "calibration",
-        "known_length",
-        "handedness",
-        "cameras",
-        "from_model",
-        "frame",
-        "refine",
-        "views",
-    ],
-)
-
-
 class Entry(NamedTuple):
-    """The meaning of a code, and the fields in which its remedy can be given."""
+    """The meaning of a code."""
 
     severity: Severity
     effect: str
     remedy: str
-    fields: tuple[RemedyField, ...] = ()
 
 
 CATALOGUE: dict[FindingCode, Entry] = {
@@ -115,7 +96,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "Keypoints lie outside the image: the image size is not that of these keypoints, or the"
         " detector was run on a scaled or cropped image.",
         "Give the size of the images on which the keypoints were detected.",
-        ("image_sizes",),
     ),
     "too_few_frames": Entry(
         "warning",
@@ -139,7 +119,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "Synchronise the cameras, or give the dataset's `fps` or `times`: fits and lifts of"
         " datasets then shift the view (`synchronise: auto`). Frames that are lifted one by one or"
         " in a stream are never shifted: send them in step.",
-        ("fps",),
     ),
     "views_swapped": Entry(
         "warning",
@@ -151,7 +130,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "Left and right keypoints are exchanged in this view, compared with the other views.",
         "Exchange left and right in this view, or turn off mirroring of its images (`mirror` where"
         " files are read).",
-        ("mirror",),
     ),
     "left_right_mended": Entry(
         "info",
@@ -171,7 +149,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The keypoints do not determine any cameras: lifts are in weak perspective.",
         "Add a second view, more frames, or a calibration.",
-        ("calibration",),
     ),
     "rig_declared_but_moving": Entry(
         "warning",
@@ -179,7 +156,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " errors and structures are worse for it.",
         "Fit with `cameras: auto` or `moving`, or look for the cause, such as a bumped tripod or"
         " views that are out of step.",
-        ("cameras",),
     ),
     "calibration_disagrees": Entry(
         "warning",
@@ -187,7 +163,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " slightly off (`refused` 0), and ignored and estimated if it is far off (`refused` 1).",
         "Check whether the camera was moved, zoomed, exchanged or calibrated at another image"
         " size. Calibrate it again, or leave its calibration out.",
-        ("calibration",),
     ),
     "calibration_read_otherwise": Entry(
         "warning",
@@ -196,20 +171,17 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " 1), or with the cameras in another order (`camera_of_view_0` ...).",
         "Give poses that transform from the room to the camera, x right, y down, z forward, and the"
         " cameras in the order of the views.",
-        ("calibration",),
     ),
     "known_length_disagrees": Entry(
         "warning",
         "The known length and the calibration give different units; the known length was used.",
         "Check the length and the unit of the calibration's translations.",
-        ("known_length", "calibration"),
     ),
     "camera_moved": Entry(
         "warning",
         "An otherwise static camera was moved: it fits the other cameras either before these frames"
         " or in them, not in both.",
         "Fit the frames before and after the move separately, or with `cameras: moving`.",
-        ("cameras",),
     ),
     "focal_not_observable": Entry(
         "warning",
@@ -217,7 +189,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
         "Give the focal length (`calibration`), or film the subject nearer and in more places.",
-        ("calibration",),
     ),
     "lenses_limit_accuracy": Entry(
         "warning",
@@ -227,13 +198,11 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " `error_by_noise_of_height`).",
         "Give the focal lengths (`calibration`), give `image_sizes` that are missing, or add a"
         " third view.",
-        ("calibration", "image_sizes"),
     ),
     "handedness_not_observable": Entry(
         "warning",
         "The keypoints hardly distinguish the structures from their mirror images.",
         "Give the `handedness`, or a calibration.",
-        ("handedness", "calibration"),
     ),
     "views_opposite": Entry(
         "info",
@@ -250,20 +219,17 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "The lenses that explain the keypoints best are unlike real ones: the keypoints or what was"
         " given of the cameras is probably wrong.",
         "Look at the other findings, and give the image sizes or a calibration.",
-        ("image_sizes", "calibration"),
     ),
     "rig_not_used": Entry(
         "warning",
         "The cameras of the fit do not explain these frames, so each view got a camera of its own.",
         "Check that `views` names them in the right order, that the views are in step, and that"
         " no camera was moved since the fit.",
-        ("views",),
     ),
     "frame_unlike_fit": Entry(
         "warning",
         "These frames are unlike all frames of the fit: their structures are less certain.",
         "Fit a capture that has such poses, or start a fit from this model with them.",
-        ("from_model",),
     ),
     "coordinates_of_another_scale": Entry(
         "warning",
@@ -276,7 +242,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " camera, or none that determines their unit. Their points and cameras are empty.",
         "Ask for the canonical frame of reference, or lift with `refine: full` and with views of"
         " two static cameras.",
-        ("frame", "refine"),
     ),
 }
 CODES: tuple[FindingCode, ...] = tuple(

@@ -9,16 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from models.findings.catalogue import CATALOGUE, FindingCode, RemedyField, Severity
+from models.findings.catalogue import CATALOGUE, FindingCode, Severity
 
 MOST_RANGES = 100  # of frames that one finding lists
 Index = Annotated[int, Field(ge=0)]
 Number = Annotated[float, Field(allow_inf_nan=False)]  # others become null in JSON
-
-
-def _fields_of(known: dict[str, Any]) -> tuple[RemedyField, ...]:
-    code = known.get("code")  # missing if it is not valid
-    return CATALOGUE[code].fields if code in CATALOGUE else ()
 
 
 class Finding(BaseModel):
@@ -44,11 +39,6 @@ class Finding(BaseModel):
     evidence: dict[str, Number] = Field({}, description="The numbers behind it, by name.")
     effect: str = Field(description="Its effect on the results.")
     remedy: str = Field(description="What to do about it.")
-    remedy_fields: tuple[RemedyField, ...] = Field(
-        default_factory=_fields_of,  # also of findings that older versions stored
-        description="The fields in which the remedy can be given, by their names in this API;"
-        " docs/findings.md has their places.",
-    )
 
     @classmethod
     def of(

@@ -8,10 +8,13 @@ from typing import Any, get_args
 
 from fewview.commands.reading import OPTIONS
 
-from models.findings.catalogue import CATALOGUE, RemedyField
+from models.findings.catalogue import CATALOGUE
+from models.findings.remedies import REMEDY_FIELDS, RemedyField
 from service.openapi import document
+from service.wire.detector_files import DetectorReading
 
 ROOT = Path(__file__).parents[2]
+READING = ROOT / "page" / "src" / "remedies" / "reading.tsx"
 REGISTRY = ROOT / "page" / "src" / "remedies" / "registry.ts"
 OF_LIFTS = {"frame", "refine", "views"}
 OF_PROGRAMS = {"from_model", *OF_LIFTS}  # what is taken where one writes a request or a command
@@ -37,7 +40,7 @@ def test_a_remedy_lists_the_fields_that_it_names() -> None:
     for code, entry in CATALOGUE.items():
         words = re.findall(r"`(\w+)[:`]", entry.remedy)
         named = [word for word in words if word in known]
-        missing = [word for word in named if word not in entry.fields]
+        missing = [word for word in named if word not in REMEDY_FIELDS.get(code, ())]
         assert not missing, f"{code}: {missing} are named, and not in its fields"
 
 
@@ -46,7 +49,7 @@ def test_every_field_of_a_remedy_is_in_the_api() -> None:
     for field in get_args(RemedyField.__value__):
         found = [name for name, has in all_places.items() if field in has]
         assert found, f"no form of the API has {field}"
-    used = {field for entry in CATALOGUE.values() for field in entry.fields}
+    used = {field for named in REMEDY_FIELDS.values() for field in named}
     assert used == set(get_args(RemedyField.__value__))
 
 
@@ -61,3 +64,10 @@ def test_every_field_of_a_remedy_has_a_control_on_the_page() -> None:
     wanted = set(get_args(RemedyField.__value__)) - OF_PROGRAMS - OF_FILES
     assert registered == wanted
     assert fields("DatasetCreateForm") >= OF_FILES
+
+
+def test_every_option_of_reading_has_a_control_on_the_page() -> None:
+    text = READING.read_text()
+    options = text[text.index("export const READING") : text.index("\n};")]
+    registered = set(re.findall(r"^  (\w+): \{", options, re.MULTILINE))
+    assert registered == set(DetectorReading.model_fields)

@@ -13,12 +13,14 @@ interface Problem {
 export class Refusal extends Error {
   readonly status: number;
   readonly code: string;
+  readonly fields: string[]; // of the request that are at fault
 
   constructor(status: number, problem: Problem) {
     const reasons = (problem.errors ?? []).map((each) => `${each.pointer}: ${each.detail}`);
     super(reasons.join("; ") || problem.detail || problem.title || `The service answered ${status}.`);
     this.status = status;
     this.code = problem.code ?? "";
+    this.fields = (problem.errors ?? []).flatMap(({ pointer }) => pointer.split("/")[1] ?? []);
   }
 }
 

@@ -5,6 +5,7 @@ import { captured } from "../fits/fits_screen.tsx";
 import { Alert } from "../parts/alert.tsx";
 import { bytes, count, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
+import { ReadingControls, type Reading } from "../remedies/reading.tsx";
 import { goTo } from "../route.ts";
 import { chosen, filesOf, groupsOf, joined, type Placed } from "./dropping.ts";
 import { People } from "./people.tsx";
@@ -14,7 +15,7 @@ import { arraysIn, upload, type Description } from "./upload.ts";
 import { useLook, type Look } from "./use_look.ts";
 import { Views } from "./views.tsx";
 
-const NOTHING: Description = { name: "", fps: "", width: "", height: "", person: "", views: null };
+const NOTHING: Description = { name: "", fps: "", width: "", height: "", person: "", views: null, reading: {} };
 
 export function NewScreen() {
   const [files, setFiles] = useState<Placed[]>([]);
@@ -63,6 +64,12 @@ export function NewScreen() {
           <GroupList files={files} onRemove={(gone) => setAll(files.filter((file) => !gone.includes(file)))} />
         )}
         <Fields description={description} setDescription={setDescription} disabled={sent !== null} />
+        <ReadingControls
+          fields={askedOf(look, description.reading)}
+          reading={description.reading}
+          keypoints={look.state === "seen" ? look.preview.keypoints : null}
+          onChange={(reading) => setDescription({ ...description, reading })}
+        />
         <Looked look={look} editable={arrays === null} description={description} setDescription={setDescription} />
         <Alert>{trouble}</Alert>
         {sent === null ? (
@@ -75,6 +82,17 @@ export function NewScreen() {
       </form>
     </main>
   );
+}
+
+/** Returns the options of reading that have a control: those that a refusal or a finding names, the
+ * skeleton of keypoints without names, and what was given already. */
+function askedOf(look: Look, reading: Reading): string[] {
+  const given = Object.keys(reading);
+  if (look.state === "refused") return [...given, ...look.fields];
+  if (look.state !== "seen") return given;
+  const { findings, skeleton, notes } = look.preview;
+  const named = (skeleton?.keypoint_names ?? null) !== null || notes.length === 0; // arrays have no notes
+  return [...given, ...findings.flatMap((each) => each.remedy_fields ?? []), ...(named ? [] : ["skeleton_name"])];
 }
 
 interface LookedProps {

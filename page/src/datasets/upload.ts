@@ -4,6 +4,7 @@
 import { addressOf, keyHeader, refusalOf, Refusal } from "../api/http.ts";
 import { getDataset, type Dataset, type DatasetPreview } from "../api/resources.ts";
 import { unique } from "../parts/unique.ts";
+import type { Reading } from "../remedies/reading.tsx";
 import { groupsOf, type Placed } from "./dropping.ts";
 import { arePacked, packed } from "./folders.ts";
 import { partsOf, type Parts } from "./parts.ts";
@@ -17,6 +18,7 @@ export interface Description {
   height: string;
   person: string; // one for each view, with commas; empty: found out
   views: WantedView[] | null; // null: all that there are
+  reading: Reading; // of files that are no arrays
 }
 
 export interface Watching {
@@ -135,15 +137,17 @@ export function arraysIn(files: Placed[]): File | null {
 }
 
 async function formOf(files: Placed[], description: Description): Promise<FormData> {
-  const { name, fps, width, height, person, views } = description;
+  const { name, fps, width, height, person, views, reading } = description;
   const form = new FormData();
   const arrays = arraysIn(files) !== null;
   if (arePacked(files)) form.append("folders", await packed(files), "folders.zip");
   else for (const { path, file } of files) form.append(arrays ? "file" : "files", file, path);
-  if (person !== "" && !arrays) form.append("person", person);
-  if (views !== null && !arrays) form.append("cameras", views.map(({ source }) => source).join(","));
+  if (person !== "" && !reading.person && !arrays) form.append("person", person);
+  if (views !== null && !reading.cameras && !arrays)
+    form.append("cameras", views.map(({ source }) => source).join(","));
   if (name !== "") form.append("name", name);
   if (fps !== "") form.append("fps", fps);
+  for (const [option, text] of Object.entries(reading)) if (text !== "" && !arrays) form.append(option, text);
   if (width !== "" && height !== "" && !arrays) {
     const size = [Number(width), Number(height)];
     form.append("image_sizes", JSON.stringify((views ?? groupsOf(files)).map(() => size)));

@@ -1,6 +1,7 @@
 /** Has the service look at files, again whenever they or what is known of them changes. */
 
 import { useEffect, useState } from "preact/hooks";
+import { Refusal } from "../api/http.ts";
 import type { DatasetPreview } from "../api/resources.ts";
 import { sidesOf } from "../science/sides.ts";
 import type { Drawn } from "./preview.ts";
@@ -10,14 +11,14 @@ import { lookAt, type Description } from "./upload.ts";
 export type Look =
   | { state: "none" }
   | { state: "sending"; share: number }
-  | { state: "refused"; reason: string }
+  | { state: "refused"; reason: string; fields: string[] } // of the form that are at fault
   | { state: "seen"; preview: DatasetPreview; drawn: Drawn };
 
 const PAUSE_MS = 500; // after the last key that was typed
 
 export function useLook(files: Placed[], description: Description): Look {
   const [look, setLook] = useState<Look>({ state: "none" });
-  const { fps, width, height, person, views } = description;
+  const { fps, width, height, person, views, reading } = description;
   const cameras = views?.map(({ source }) => source).join(",") ?? "";
   useEffect(() => {
     if (files.length === 0) {
@@ -33,7 +34,10 @@ export function useLook(files: Placed[], description: Description): Look {
       const onProgress = (share: number) => put({ state: "sending", share });
       lookAt(files, description, { onProgress, onBreak: () => {}, signal: stop.signal }).then(
         (preview) => put({ state: "seen", preview, drawn: drawnOf(preview) }),
-        (error: Error) => put({ state: "refused", reason: error.message }),
+        (error: Error) => {
+          const fields = error instanceof Refusal ? error.fields : [];
+          put({ state: "refused", reason: error.message, fields });
+        },
       );
     };
     const timer = setTimeout(begin, PAUSE_MS);
@@ -41,7 +45,7 @@ export function useLook(files: Placed[], description: Description): Look {
       clearTimeout(timer);
       stop.abort();
     };
-  }, [files, fps, width, height, person, cameras]);
+  }, [files, fps, width, height, person, cameras, reading]);
   return look;
 }
 

@@ -48,28 +48,30 @@ export function Workspace({ fit, result, onSkeleton }: { fit: Fit; result: Resul
         </section>
         <Closer />
         <div class="facts-grid">
-          <section class="panel">
-            <h2>What was noticed</h2>
-            <WorstFrames />
-            <Remediable subject={subject}>
-              <FindingList
-                findings={findings}
-                viewNames={take.viewNames}
-                keypointNames={take.names}
-                onFrame={(frame) => player.show(frame)}
-                onKeypoint={(keypoint) => show.setSelected([keypoint])}
-              />
-            </Remediable>
-          </section>
+          <div class="stack">
+            <section class="panel">
+              <h2>What was noticed</h2>
+              <WorstFrames />
+              <Remediable subject={subject}>
+                <FindingList
+                  findings={findings}
+                  viewNames={take.viewNames}
+                  keypointNames={take.names}
+                  onFrame={(frame) => player.show(frame)}
+                  onKeypoint={(keypoint) => show.setSelected([keypoint])}
+                />
+              </Remediable>
+            </section>
+            {subject !== null && (
+              <Remediable subject={subject}>
+                <SkeletonPanel onSaved={onSkeleton} />
+              </Remediable>
+            )}
+          </div>
           <section class="panel">
             <h2>Figures</h2>
             <Figures />
           </section>
-          {subject !== null && (
-            <Remediable subject={subject}>
-              <SkeletonPanel onSaved={onSkeleton} />
-            </Remediable>
-          )}
           <section class="panel">
             <h2>Take it away</h2>
             <Exports stage={stage} />

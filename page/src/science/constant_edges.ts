@@ -12,7 +12,7 @@ interface Structures {
 
 export interface FoundEdge {
   edge: [number, number];
-  variation: number; // robust standard deviation of the length, as a share of it
+  variation: number; // robust standard deviation of the length beyond the noise, as a share of it
 }
 
 const SAMPLES = 300; // frames that are looked at
@@ -22,15 +22,22 @@ const FLOOR = 0.01; // a variation below that is noise, and shorter pairs are pr
 const LOOSE = 0.25; // what varies more is no bone, and is left out even if a keypoint then stands alone
 const AS_GOOD = 1.2; // times the variation of the edges at its ends, up to which a further edge is drawn
 const MORE = 0.25; // further edges, as a share of the keypoints
+const NOISE = 1.5; // times the noise, below which a length is as constant as any
 const DEVIATIONS = 1.4826; // of a normal variable, in one median absolute deviation
 
 /** Returns the edges of a minimum spanning tree over the variations of all pairs' lengths, and a few
  * that are nearly as constant. A variation is the median absolute deviation of the logarithm of the
- * length: it does not depend on the unit, and a third of wrong frames does not change it. */
+ * length, less the noise: it does not depend on the unit, and a third of wrong frames does not change
+ * it. Noise is as large in short lengths as in long ones, which would seem the more constant. */
 export function constantEdges(structures: Structures): FoundEdge[] {
   const { keypoints } = structures;
   if (keypoints < 2 || keypoints > MOST_KEYPOINTS) return [];
-  const pairs = measured(structures);
+  const measures = measured(structures);
+  const noise = NOISE * noiseOf(measures, keypoints);
+  const pairs = measures.map((pair) => {
+    const excess = Math.sqrt(Math.max(0, (pair.variation * pair.length) ** 2 - noise ** 2));
+    return { ...pair, variation: excess / pair.length };
+  });
   const size = quantile(
     pairs.map((pair) => pair.length),
     0.9,
@@ -63,6 +70,15 @@ export function constantEdges(structures: Structures): FoundEdge[] {
     edge,
     variation,
   }));
+}
+
+/** Returns the noise of lengths: each keypoint has some other at a constant distance. */
+function noiseOf(pairs: Pair[], keypoints: number): number {
+  const least = new Float64Array(keypoints).fill(Infinity);
+  for (const { edge, variation, length } of pairs) {
+    for (const end of edge) least[end] = Math.min(least[end]!, variation * length);
+  }
+  return quantile(least, 0.5);
 }
 
 interface Pair extends FoundEdge {

@@ -19,7 +19,7 @@ def catalogue() -> str:
     for title, group in GROUPS.items():
         lines += [title, "", "| code | | effect | remedy |", "|---|---|---|---|"]
         for code in get_args(group.__value__):
-            severity, effect, remedy, _ = CATALOGUE[code]
+            severity, effect, remedy = CATALOGUE[code]
             lines.append(f"| `{code}` | {severity} | {effect} | {remedy} |")
         lines.append("")
     return "\n".join(lines)

@@ -1,0 +1,46 @@
+"""The fields in which the remedies of findings can be given.
+
+Apart from the catalogue: what makes findings, and compiled functions near it, need none of this.
+"""
+
+from typing import Literal
+
+from typing_extensions import TypeAliasType
+
+from models.findings.catalogue import FindingCode
+
+RemedyField = TypeAliasType(
+    "RemedyField",
+    Literal[
+        "fps",  # of a dataset
+        "image_sizes",
+        "mirror",  # where files are read
+        "calibration",  # of a fit
+        "known_length",
+        "handedness",
+        "cameras",
+        "from_model",
+        "frame",  # of lifts
+        "refine",
+        "views",
+    ],
+)
+
+REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
+    "outside_image": ("image_sizes",),
+    "views_out_of_step": ("fps",),
+    "left_right_swapped": ("mirror",),
+    "cameras_not_found": ("calibration",),
+    "rig_declared_but_moving": ("cameras",),
+    "calibration_disagrees": ("calibration",),
+    "calibration_read_otherwise": ("calibration",),
+    "known_length_disagrees": ("known_length", "calibration"),
+    "camera_moved": ("cameras",),
+    "focal_not_observable": ("calibration",),
+    "lenses_limit_accuracy": ("calibration", "image_sizes"),
+    "handedness_not_observable": ("handedness", "calibration"),
+    "lenses_extreme": ("image_sizes", "calibration"),
+    "rig_not_used": ("views",),
+    "frame_unlike_fit": ("from_model",),
+    "not_in_room": ("frame", "refine"),
+}

@@ -1,0 +1,111 @@
+/** How files of detectors are to be read: a control for each option that a reader asks for. */
+
+import { useEffect, useState } from "preact/hooks";
+import { listSkeletons, type KnownSkeleton } from "../api/resources.ts";
+
+/** Options by the names of the form's fields, as they were typed; empty ones are left out. */
+export type Reading = Readonly<Record<string, string>>;
+
+interface Option {
+  label: string;
+  hint: string;
+  choices?: [string, string][]; // values and their words, the first of which is what happens anyway
+}
+
+/** A test holds their names against those that the service knows. */
+export const READING: Record<string, Option> = {
+  skeleton_name: { label: "Skeleton", hint: "names the keypoints, and joins them" },
+  person: { label: "Person", hint: "0 is seen most; a number for each camera, such as 0,1,0; or a track's name" },
+  format: { label: "Format", hint: "as docs/files.md names it; found out if not given" },
+  min_confidence: { label: "Least confidence", hint: "0 to 1: detections that are less sure are gaps" },
+  align: {
+    label: "What belongs together",
+    hint: "in time",
+    choices: [
+      ["auto", "found out"],
+      ["index", "frames of the same number"],
+      ["time", "frames of the nearest time"],
+    ],
+  },
+  table_columns: { label: "Columns of the table", hint: "such as x={}_x,y={}_y,frame=No" },
+  cameras: { label: "Cameras", hint: "which views are wanted, in their order: cam1,cam2" },
+  trial: { label: "Trial", hint: "or detector, where files are of several" },
+  y: {
+    label: "y counts",
+    hint: "from the upper or the lower edge of the image",
+    choices: [
+      ["down", "down, as in images"],
+      ["up", "up"],
+    ],
+  },
+  mirror: { label: "Mirrored views", hint: "which views show mirror images, such as cam2" },
+};
+
+interface Props {
+  fields: readonly string[]; // those that are shown; others are ignored
+  reading: Reading;
+  keypoints: number | null; // of the files, if that is known
+  onChange: (reading: Reading) => void;
+}
+
+export function ReadingControls({ fields, reading, keypoints, onChange }: Props) {
+  const shown = Object.entries(READING).filter(([field]) => fields.includes(field));
+  if (shown.length === 0) return null;
+  return (
+    <fieldset class="fields reading">
+      <legend class="unseen">How the files are read</legend>
+      {shown.map(([field, { label, hint, choices }]) => {
+        const named = { value: reading[field] ?? "", "aria-label": label };
+        const put = (event: { currentTarget: { value: string } }) =>
+          onChange({ ...reading, [field]: event.currentTarget.value });
+        return (
+          <label key={field}>
+            {label} <small class="quiet">{hint}</small>
+            {field === "skeleton_name" ? (
+              <SkeletonChoice {...named} keypoints={keypoints} onChange={put} />
+            ) : choices !== undefined ? (
+              <select {...named} onChange={put}>
+                {choices.map(([value, words], index) => (
+                  <option key={value} value={index === 0 ? "" : value}>
+                    {words}
+                  </option>
+                ))}
+              </select>
+            ) : (
+              <input {...named} maxLength={1000} onChange={put} />
+            )}
+          </label>
+        );
+      })}
+    </fieldset>
+  );
+}
+
+interface ChoiceProps {
+  value: string;
+  "aria-label": string;
+  keypoints: number | null;
+  onChange: (event: { currentTarget: { value: string } }) => void;
+}
+
+/** The ready skeletons of so many keypoints, or all if that is not known. */
+function SkeletonChoice({ keypoints, ...named }: ChoiceProps) {
+  const [known, setKnown] = useState<KnownSkeleton[]>([]);
+  useEffect(() => {
+    listSkeletons().then(
+      ({ items }) => setKnown(items),
+      () => {}, // files can be stored without names
+    );
+  }, []);
+  const fitting = known.filter(({ keypoint_names: names }) => keypoints === null || names.length === keypoints);
+  return (
+    <select {...named}>
+      <option value="">none</option>
+      {fitting.map(({ name, title, keypoint_names: names }) => (
+        <option key={name} value={name}>
+          {title} ({names.length})
+        </option>
+      ))}
+    </select>
+  );
+}
