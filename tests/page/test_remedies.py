@@ -1,0 +1,80 @@
+"""Remedies are taken on the page, where they are read."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.page.conftest import Watched
+from tests.page.stored import EDGES, NAMES, Stored
+from tests.service.conftest import Live
+
+
+@pytest.fixture
+def unnamed(live: Live, stored: Stored) -> Iterator[str]:
+    """Return the dataset of the walk, whose keypoints have no names while the test runs."""
+    url = f"/datasets/{stored.dataset}"
+    live.http.patch(url, json={"skeleton": None})
+    yield url
+    skeleton = {"keypoint_names": NAMES, "edges": EDGES}
+    live.http.patch(url, json={"skeleton": skeleton, "image_sizes": None, "fps": 50.0})
+
+
+def skeleton_of(live: Live, url: str) -> Any:
+    return live.get(url)["skeleton"]
+
+
+def test_edges_that_were_found_are_dashed_until_they_are_accepted(
+    watched: Watched, live: Live, stored: Stored, unnamed: str
+) -> None:
+    page = watched.open(f"#/fits/{stored.fit}")
+    panel = page.get_by_role("region", name="Skeleton")
+    expect(panel.get_by_text("nothing joins them")).to_be_visible()
+    expect(panel.locator("line.offered").first).to_be_visible()
+    panel.get_by_role("button", name="Draw these edges").click()
+    expect(panel.get_by_text("nothing joins them")).to_have_count(0)
+    expect(panel.locator("line.offered")).to_have_count(0)
+    found = {tuple(sorted(edge)) for edge in skeleton_of(live, unnamed)["edges"]}
+    assert len(found) >= 12  # of 16 keypoints
+    assert len({end for edge in found for end in edge}) >= 13
+
+
+def test_a_skeleton_is_drawn_with_the_keyboard_and_undone(
+    watched: Watched, live: Live, stored: Stored, unnamed: str
+) -> None:
+    page = watched.open(f"#/datasets/{stored.dataset}")
+    panel = page.get_by_role("region", name="Skeleton")
+    panel.get_by_text("Name keypoints, draw edges").click()
+
+    def press(*names: str) -> None:
+        for name in names:
+            panel.get_by_role("button", name=name, exact=True).press("Enter")
+
+    press("keypoint 3", "keypoint 5", "keypoint 5", "keypoint 7", "keypoint 7", "keypoint 9")
+    expect(panel.get_by_text("3 edges")).to_be_visible()
+    press("Undo", "Remove the edge from keypoint 3 to keypoint 5")
+    expect(panel.get_by_text("1 edge", exact=True)).to_be_visible()
+    press("Left and right", "keypoint 0", "keypoint 1")
+    panel.get_by_text("Names of 16 keypoints").click()
+    panel.get_by_label("Name of keypoint 2", exact=True).fill("left_0")
+    panel.get_by_label("Name of keypoint 2", exact=True).blur()
+    expect(panel.get_by_text("Two keypoints are called left_0")).to_be_visible()
+    press("Undo", "Save the skeleton")
+    expect(panel.get_by_text("16 named keypoints, 1 edge")).to_be_visible()
+    saved = skeleton_of(live, unnamed)
+    assert saved["edges"] == [[5, 7]]
+    assert saved["keypoint_names"][:3] == ["left_0", "right_0", "keypoint 2"]
+
+
+def test_image_sizes_are_given_beside_the_words(
+    watched: Watched, live: Live, stored: Stored, unnamed: str
+) -> None:
+    live.http.patch(unnamed, json={"image_sizes": [[300, 300]] * 3})
+    page = watched.open(f"#/datasets/{stored.dataset}")
+    page.get_by_text("Give the image sizes").first.click()
+    page.get_by_label("Width of view 0").first.fill("2000")
+    page.get_by_label("Height of view 0").first.fill("1500")
+    page.get_by_role("button", name="Save", exact=True).first.click()
+    expect(page.get_by_text("Outside image")).to_have_count(0)
+    assert live.get(unnamed)["image_sizes"] == [[2000, 1500]] * 3
