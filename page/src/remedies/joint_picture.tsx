@@ -31,6 +31,7 @@ export function JointPicture(props: Props) {
     const [from, to] = [places[a], places[b]];
     return from && to ? { x1: from[0], y1: from[1], x2: to[0], y2: to[1] } : null;
   };
+  // Attributes of SVG are spelt as they are: `tabIndex` would be none.
   const press = (act: () => void) => (event: KeyboardEvent) => {
     if (event.key !== "Enter" && event.key !== " ") return;
     event.preventDefault();
@@ -67,7 +68,7 @@ export function JointPicture(props: Props) {
               key={key}
               class="edge"
               role="button"
-              tabIndex={0}
+              tabindex={0}
               aria-label={`Remove the edge from ${names[edge[0]]} to ${names[edge[1]]}`}
               onClick={remove}
               onKeyDown={press(remove)}
@@ -85,7 +86,7 @@ export function JointPicture(props: Props) {
               key={keypoint}
               class={`joint ${CLASSES[`${sides[keypoint] ?? 0}`]}${order >= 0 ? " marked" : ""}`}
               role="button"
-              tabIndex={0}
+              tabindex={0}
               aria-label={names[keypoint]}
               aria-pressed={order >= 0}
               onClick={() => onJoint(keypoint)}
