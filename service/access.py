@@ -6,6 +6,7 @@ import time
 from contextlib import closing
 from datetime import UTC, datetime
 
+from fewview.plain import visible
 from pydantic import Field, field_validator
 from pydantic_settings import CliApp, CliPositionalArg, SettingsConfigDict
 
@@ -118,7 +119,8 @@ def _list(arguments: list[str]) -> None:
     with closing(open_store(settings)) as store:
         for record in access_keys.page(store, limit=access_keys.MAX_KEYS):
             scopes = ",".join(record.scopes)
-            print(f"{record.id}  {_state(record):8} {record.project:12} {scopes:28} {record.name}")
+            name = visible(record.name)
+            print(f"{record.id}  {_state(record):8} {record.project:12} {scopes:28} {name}")
 
 
 def _state(record: AccessKey) -> str:
@@ -133,7 +135,7 @@ def _revoke(arguments: list[str]) -> None:
         try:
             access_keys.revoke(store.on_behalf_of(BY_COMMAND), settings.key_id)
         except NotFoundError as error:
-            print(f"fewview key revoke: {error}", file=sys.stderr)
+            print(visible(f"fewview key revoke: {error}"), file=sys.stderr)
             sys.exit(1)
     print(f"{settings.key_id} is revoked.")
 
@@ -147,10 +149,8 @@ def audit(arguments: list[str]) -> None:
         ):
             at = datetime.fromtimestamp(entry.at, UTC).isoformat(timespec="seconds")
             request = f"  {entry.request_id}" if entry.request_id else ""
-            print(
-                f"{at}  {entry.key_id:30} {entry.project:12} {entry.action:15} "
-                f"{entry.target}{request}"
-            )
+            line = f"{at}  {entry.key_id:30} {entry.project:12} {entry.action:15} "
+            print(visible(f"{line}{entry.target}{request}"))
 
 
 COMMANDS = {"create": _create, "list": _list, "revoke": _revoke}

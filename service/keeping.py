@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+from fewview.plain import visible
 from obstore.exceptions import BaseError as ObjectStoreError
 from pydantic import Field
 from pydantic_settings import CliApp, CliImplicitFlag, CliPositionalArg, SettingsConfigDict
@@ -125,7 +126,7 @@ def prune(arguments: list[str]) -> None:
             gone = retention.prune(store, settings.retention)
         swept = housekeeping.sweep(store, dry_run=settings.dry_run)
     for job in gone:
-        print(f"{job.noun} {job.id} {job.name!r}, {job.status}")
+        print(visible(f"{job.noun} {job.id} {job.name!r}, {job.status}"))
     would = "would be " if settings.dry_run else ""
     print(
         f"{len(gone)} fits and lifts {would}deleted. Objects that no record names: "
@@ -159,7 +160,7 @@ def doctor(arguments: list[str]) -> None:
     settings = CliApp.run(Doctor, cli_args=arguments)
     failed = False
     for verdict in examine(settings, deep=settings.deep):
-        print(f"{verdict.state:8} {verdict.part}: {verdict.words}", flush=True)
+        print(visible(f"{verdict.state:8} {verdict.part}: {verdict.words}"), flush=True)
         failed |= verdict.state == "failed"
     sys.exit(int(failed))
 
@@ -189,7 +190,7 @@ def ending(command: str) -> Iterator[None]:
     try:
         yield
     except (StoreError, SQLAlchemyError, ObjectStoreError, OSError) as error:
-        print(f"fewview {command}: {in_words(error)}", file=sys.stderr)
+        print(visible(f"fewview {command}: {in_words(error)}"), file=sys.stderr)
         sys.exit(2)
 
 

@@ -23,7 +23,7 @@ MAX_ALIASES = 1000  # of a project: each process of the API knows all of them
 
 
 def put(store: Store, name: str, model_id: str) -> ModelAlias:
-    """Have an alias point to a model, whatever it pointed to before.
+    """Have an alias point to a model, whatever it pointed to before; nothing else is a change.
 
     Parameters
     ----------
@@ -48,6 +48,8 @@ def put(store: Store, name: str, model_id: str) -> ModelAlias:
                     "model_id", f"expected {MAX_ALIASES} aliases at most; delete some first"
                 )
             alias = ModelAlias(name=name, **owned_by(store.author))
+        elif alias.model_id == model.id:
+            return alias
         alias.model_id, alias.moved_at = model.id, clock.read(session)
         session.add(alias)
         audit.note(session, "alias.set", name)

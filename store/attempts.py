@@ -83,7 +83,7 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
             old = session.scalar(
                 select(FitRecord.checkpoint_key).where(FitRecord.id == attempt.fit_id)
             )
-            _write(session, attempt, {"checkpoint_key": key})
+            _write(session, attempt, {"checkpoint_key": key, "stored_bytes": len(data)})
     except LeaseLostError:
         discard(store, key)
         raise

@@ -1,4 +1,7 @@
-"""The audit: who changed what, written in the transaction of the change."""
+"""The audit: who changed what, written in the transaction of the change.
+
+Every change is noted here, so here it is held against its author's account (``store.usage``).
+"""
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
@@ -8,10 +11,16 @@ from store.authors import author_of
 from store.database import Store
 from store.ids import new_id
 from store.records import AuditRecord
+from store.usage import check
+
+FREEING = ("delete", "cancel", "revoke")  # which a full account allows
 
 
-def note(session: Session, action: str, target: str) -> None:
-    """Note what an author does, in the author's transaction; the service's own work is not noted.
+def note(session: Session, action: str, target: str, *, freeing: bool = False) -> None:
+    """Note what an author did, in the author's transaction; the service's own work is not noted.
+
+    Raises ``QuotaError`` if the author's account holds more than it may by now, save where the
+    action made it smaller.
 
     Parameters
     ----------
@@ -19,6 +28,8 @@ def note(session: Session, action: str, target: str) -> None:
         Kind and verb: ``dataset.create``.
     target
         Identifier of the record.
+    freeing
+        The account got smaller by the action; one of `FREEING` never makes it larger.
     """
     author = author_of(session)
     if author is None:
@@ -34,6 +45,8 @@ def note(session: Session, action: str, target: str) -> None:
             request_id=author.request_id,
         )
     )
+    if not freeing and action.rpartition(".")[2] not in FREEING:
+        check(session)
 
 
 def page(

@@ -243,8 +243,11 @@ def _write_records(store: Store, file: Path, project: str | None) -> tuple[int, 
 
 
 def _rows(table: Table, project: str | None) -> Select[Any]:
-    """Return the query of all rows of a table, or of those of one project."""
-    query = select(table)
+    """Return the query of all rows of a table, or of those of one project.
+
+    What the database computes is left out: it cannot be written.
+    """
+    query = select(*(column for column in table.columns if column.computed is None))
     if project is None:
         return query
     if "project" in table.columns:

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from store import deployment, schema
 from store.authors import Author, AuthoredSession
 from store.engine import open_engine
+from store.locks import alone
 from store.objects import Objects
 from store.records import DEFAULT_PROJECT
 from store.settings import StoreSettings
@@ -65,12 +66,15 @@ class Store:
         """Give a session whose writes are committed together on leaving, or not at all.
 
         In PostgreSQL, transactions run side by side: what one relies on, it locks first and checks
-        then. All lock in one order, or two would wait for each other: an idempotency key, a task
-        (``store.locks``), dataset, fit, model, lift, chunk of a lift, condemned objects by key.
+        then. All lock in one order, or two would wait for each other: the account of a key with
+        quotas, an idempotency key, a task (``store.locks``), dataset, fit, model, lift, chunk of a
+        lift, condemned objects by key.
         """
         engine = self.engine.execution_options(writing=True)
         session = AuthoredSession(engine, author=self.author, expire_on_commit=False)
         with session, session.begin():
+            if self.author is not None and self.author.quotas.bound_records():
+                alone(session, f"account of {self.author.key_id}")
             yield session
 
     def check_records(self) -> None:

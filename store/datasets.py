@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 
 from models.settings.times import check_rate
 from store import audit, dataset_findings, jobs, keys
+from store.account import PART_BYTES
 from store.authors import owned_by
 from store.capture import Capture, Float64, concatenate, extend_checksum
 from store.database import Store
@@ -22,7 +23,7 @@ from store.labels import Labels
 from store.lookup import get, lock, lost
 from store.records import Chunk, DatasetRecord, FitRecord, LiftRecord
 from store.space import discarded_if_full
-from store.usage import check_space
+from store.usage import check
 
 
 @dataclass(frozen=True)
@@ -47,18 +48,19 @@ def create(
     idempotency: Idempotency | None = None,
 ) -> DatasetRecord:
     """Store a capture as a new dataset, or return the one this request made before."""
-    dataset_id = new_id("ds")
+    dataset_id, data = new_id("ds"), capture.to_bytes()
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
+        if earlier is None:
+            check(session, len(data))
     if earlier is not None:
         return get(store, DatasetRecord, earlier)
-    key, size = _put_chunk(store, dataset_id, capture)
+    key, size = _put_chunk(store, dataset_id, data)
     dataset = described(store, capture, description)
     dataset.id, dataset.stored_bytes = dataset_id, size
     with discarded_if_full(store, key), store.writing() as session:
         earlier = claim(session, idempotency, dataset_id)
         if earlier is None:
-            check_space(session, size)
             session.add(dataset)
             session.flush()
             session.add(Chunk(dataset_id=dataset_id, first_frame=0, frames=capture.frames, key=key))
@@ -120,7 +122,11 @@ def append(
             f"expected {expected[0]} views of {expected[1]} keypoints as in the dataset, "
             f"got {capture.keypoints.shape[1]} of {capture.keypoints.shape[2]}",
         )
-    key, size = _put_chunk(store, dataset_id, capture)
+    data = capture.to_bytes()
+    with store.reading() as session:  # before anything is stored in vain
+        if replayed(session, idempotency) is None:
+            check(session, len(data))
+    key, size = _put_chunk(store, dataset_id, data)
     appended = False
     try:
         while not appended:
@@ -140,11 +146,9 @@ def append(
             with discarded_if_full(store, key), store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break
-                check_space(session, size)
                 columns["stored_bytes"] = DatasetRecord.stored_bytes + size
                 appended = _extend(session, dataset, columns)
                 if appended:
-                    audit.note(session, "dataset.append", dataset_id)
                     session.add(
                         Chunk(
                             dataset_id=dataset_id,
@@ -154,6 +158,7 @@ def append(
                         )
                     )
                     claim(session, idempotency, dataset_id)  # no other request has it: see above
+                    audit.note(session, "dataset.append", dataset_id)
     finally:
         if not appended:
             discard(store, key)
@@ -297,9 +302,8 @@ def delete(store: Store, dataset_id: str) -> None:
     discard(store, *condemned)
 
 
-def _put_chunk(store: Store, dataset_id: str, capture: Capture) -> tuple[str, int]:
-    """Store frames as an object; return its key and its bytes."""
-    data = capture.to_bytes()
+def _put_chunk(store: Store, dataset_id: str, data: bytes) -> tuple[str, int]:
+    """Store frames as an object; return its key, and the bytes of it and of its row."""
     key = keys.of_chunk(dataset_id, data)
     store.objects.put(key, data)
-    return key, len(data)
+    return key, len(data) + PART_BYTES

@@ -299,6 +299,7 @@ def ended(status: str) -> dict[str, Any]:
         "finished_at": clock.now(),
         "lease_expires_at": None,
         "checkpoint_key": None,
+        "stored_bytes": 0,
         "revision": FitRecord.revision + 1,
     }
 
@@ -307,6 +308,7 @@ def _end(session: Session, fit: FitRecord, status: str, now: float) -> None:
     condemn(session, [fit.checkpoint_key])
     fit.status, fit.finished_at = status, now
     fit.lease_expires_at = fit.checkpoint_key = None
+    fit.stored_bytes = 0
     webhooks.announce(session, fit)
 
 

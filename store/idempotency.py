@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from store import clock
-from store.authors import author_of
+from store.authors import author_of, owned_by
 from store.engine import insert
 from store.errors import KeyReusedError
 from store.records import DEFAULT_PROJECT, IdempotencyKey
@@ -83,6 +83,7 @@ def claim(session: Session, request: Idempotency | None, resource_id: str) -> st
             fingerprint=request.fingerprint,
             resource_id=resource_id,
             created_at=clock.now(),
+            **owned_by(author_of(session)),
         )
         .on_conflict_do_nothing()
         .returning(IdempotencyKey.key)

@@ -165,7 +165,8 @@ def lock_to_cancel(session: Session, kind: type[Job], identifier: str) -> Job:
             f"{kind.noun.capitalize()} {identifier!r} has already {job.status}; it cannot be "
             "cancelled."
         )
-    if job.status != "cancelled":
+    asked_before = isinstance(job, FitRecord) and job.cancel_requested_at is not None
+    if job.status != "cancelled" and not asked_before:
         audit.note(session, f"{kind.noun}.cancel", identifier)
     return job
 

@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
 from store import clock, jobs, webhooks
+from store.account import PART_BYTES
 from store.authors import author_of, owned_by
 from store.database import Store
 from store.disposal import condemn, discard
@@ -87,6 +88,7 @@ def create(
             frame=frame,
             up=up,
             chunks=len(chunks),
+            stored_bytes=len(chunks) * PART_BYTES,
             job_id=job_id or lift_id,
             **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),

@@ -7,6 +7,7 @@ from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session, defer
 
 from store import audit
+from store.account import RECORD_BYTES
 from store.array_files import GetRange
 from store.authors import author_of
 from store.database import Store
@@ -152,13 +153,26 @@ def change(
 
 
 def put(session: Session, record: Resource, columns: Mapping[str, Any]) -> None:
-    """Have columns of a locked record hold something else, and note it in the audit."""
-    for name, value in columns.items():
+    """Have columns of a locked record hold something else, and note it in the audit.
+
+    Nothing is changed, or noted, where they hold that already.
+    """
+    new = {name: value for name, value in columns.items() if getattr(record, name) != value}
+    if not new:
+        return
+    before = _kept(session, record)
+    for name, value in new.items():
         setattr(record, name, value)
-    if isinstance(record, Job) and columns:
+    if isinstance(record, Job):
         record.revision += 1
-    if columns:
-        audit.note(session, f"{record.noun}.change", record.id)
+    session.flush()
+    freeing = _kept(session, record) + RECORD_BYTES <= before  # with the entry in the audit
+    audit.note(session, f"{record.noun}.change", record.id, freeing=freeing)
+
+
+def _kept(session: Session, record: Resource) -> int:
+    kind = type(record)
+    return session.scalars(select(kind.kept_bytes).where(kind.id == record.id)).one()
 
 
 def page(

@@ -18,7 +18,7 @@ from store.ids import new_id
 from store.lookup import get, lock, lost
 from store.records import FitRecord, LiftRecord, ModelAlias, ModelRecord
 from store.space import discarded_if_full
-from store.usage import check_space
+from store.usage import check
 
 
 class Whereabouts(NamedTuple):
@@ -50,13 +50,14 @@ def create(
     """Store imported weights as a model, or return the one this request made before."""
     with store.reading() as session:  # before anything is stored in vain
         earlier = replayed(session, idempotency)
+        if earlier is None:
+            check(session, len(weights))
     if earlier is not None:
         return get(store, ModelRecord, earlier)
     model = new_record(store, weights, **owned_by(store.author), **columns)
     with discarded_if_full(store, model.weights_key), store.writing() as session:
         earlier = claim(session, idempotency, model.id)
         if earlier is None:
-            check_space(session, model.stored_bytes)
             session.add(model)
             audit.note(session, "model.create", model.id)
     if earlier is not None:

@@ -12,7 +12,8 @@ class Quotas(BaseModel):
         None,
         ge=0,
         le=2**60,
-        description="Bytes of the datasets, models, reconstructions and lifts made with the key.",
+        description="Bytes of all that is kept of what was made with the key, records included: "
+        "`GET /storage` shows what counts.",
     )
     queued_jobs: int | None = Field(
         None,
@@ -24,3 +25,7 @@ class Quotas(BaseModel):
     lifted_frames_per_second: int | None = Field(
         None, ge=1, le=2**31, description="Of `POST /lift` and streams."
     )
+
+    def bound_records(self) -> bool:
+        """Return whether there are bounds on what may be recorded."""
+        return self.stored_bytes is not None or self.queued_jobs is not None

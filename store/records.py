@@ -6,6 +6,8 @@ from typing import Any, ClassVar
 from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from store.account import counted, kept
+
 
 class Record(DeclarativeBase):
     """Base of all tables."""
@@ -26,13 +28,14 @@ class Owned:
     """Columns of what belongs to a project, which sees nothing of the others'.
 
     ``key_id`` is the key that made it, if it was made with one, and ``stored_bytes`` are those of
-    its objects: what the quota of that key counts. Older records hold 0.
+    its objects and of the rows of its chunks. What the quota of that key counts is ``kept_bytes``,
+    a column of each table: that, and the record itself (see ``store.account``).
     """
 
     project: Mapped[str] = mapped_column(
-        String(64), index=True, default=DEFAULT_PROJECT, server_default=DEFAULT_PROJECT
+        String(64), default=DEFAULT_PROJECT, server_default=DEFAULT_PROJECT
     )
-    key_id: Mapped[str | None] = mapped_column(index=True)
+    key_id: Mapped[str | None]
     stored_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
 
 
@@ -53,6 +56,7 @@ class DatasetRecord(Labelled, Owned, Record):
 
     noun: ClassVar = "dataset"  # in messages and URLs
     __tablename__ = "datasets"
+    __table_args__ = (counted("datasets"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[float]
@@ -71,6 +75,10 @@ class DatasetRecord(Labelled, Owned, Record):
     calibration: Mapped[dict[str, Any] | None]  # file, names, cameras: what came with the capture
     notes: Mapped[list[Any] | None]  # of the reader of the files that it came in
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
+    kept_bytes: Mapped[int] = kept(
+        *("tags", "user_metadata", "observed", "skeleton", "image_sizes"),
+        *("last_times", "view_names", "notes", "findings"),
+    )
 
 
 class Chunk(Record):
@@ -116,7 +124,7 @@ class FitRecord(Job, Record):
 
     noun: ClassVar = "fit"
     __tablename__ = "fits"
-    __table_args__ = (Index("fits_by_status", "status"),)
+    __table_args__ = (Index("fits_by_status", "status"), counted("fits"))
 
     config: Mapped[dict[str, Any]]
     from_model: Mapped[str | None] = mapped_column(index=True)  # whose weights it starts with
@@ -129,6 +137,9 @@ class FitRecord(Job, Record):
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
     model_id: Mapped[str | None] = mapped_column(index=True)
+    kept_bytes: Mapped[int] = kept(
+        "tags", "user_metadata", "error", "findings", "config", "progress"
+    )
 
 
 class LiftRecord(Job, Record):
@@ -136,7 +147,7 @@ class LiftRecord(Job, Record):
 
     noun: ClassVar = "lift"
     __tablename__ = "lifts"
-    __table_args__ = (Index("lifts_by_status", "status"),)
+    __table_args__ = (Index("lifts_by_status", "status"), counted("lifts"))
 
     model_id: Mapped[str] = mapped_column(index=True)
     refine: Mapped[str | None]
@@ -150,6 +161,9 @@ class LiftRecord(Job, Record):
     frames_done: Mapped[int] = mapped_column(BigInteger, default=0)
     seconds_left: Mapped[float | None]
     layout: Mapped[list[Any] | None]  # of a frame's arrays, see store.lift_files
+    kept_bytes: Mapped[int] = kept(
+        "tags", "user_metadata", "error", "findings", "views", "up", "layout"
+    )
 
 
 class LiftChunk(Record):
@@ -181,6 +195,7 @@ class ModelRecord(Labelled, Owned, Record):
     noun: ClassVar = "model"
     unlisted: ClassVar = ("training_curve",)  # long, and in no list
     __tablename__ = "models"
+    __table_args__ = (counted("models"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[float]
@@ -197,6 +212,9 @@ class ModelRecord(Labelled, Owned, Record):
     weights_bytes: Mapped[int]
     weights_checksum: Mapped[str]
     findings: Mapped[list[Any] | None]
+    kept_bytes: Mapped[int] = kept(
+        *("tags", "user_metadata", "config", "skeleton", "training_curve", "metrics", "findings")
+    )
 
 
 class ModelAlias(Owned, Record):
@@ -204,6 +222,7 @@ class ModelAlias(Owned, Record):
 
     noun: ClassVar = "alias"
     __tablename__ = "aliases"
+    __table_args__ = (counted("aliases"),)
 
     project: Mapped[str] = mapped_column(
         String(64), primary_key=True, server_default=DEFAULT_PROJECT
@@ -211,6 +230,7 @@ class ModelAlias(Owned, Record):
     name: Mapped[str] = mapped_column(primary_key=True)
     model_id: Mapped[str] = mapped_column(ForeignKey("models.id"), index=True)
     moved_at: Mapped[float]
+    kept_bytes: Mapped[int] = kept()
 
 
 class WebhookRecord(Owned, Record):
@@ -218,18 +238,24 @@ class WebhookRecord(Owned, Record):
 
     noun: ClassVar = "webhook"
     __tablename__ = "webhooks"
+    __table_args__ = (counted("webhooks"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[float]
     url: Mapped[str] = mapped_column(Text)
     events: Mapped[list[Any]]
     secret: Mapped[str]
+    kept_bytes: Mapped[int] = kept("url", "events")
 
 
-class Delivery(Record):
-    """A message to a webhook. ``attempts`` is the fencing token of who attempts it."""
+class Delivery(Owned, Record):
+    """A message to a webhook. ``attempts`` is the fencing token of who attempts it.
+
+    It is of the webhook's project and key.
+    """
 
     __tablename__ = "deliveries"
+    __table_args__ = (counted("deliveries"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     webhook_id: Mapped[str] = mapped_column(
@@ -242,6 +268,7 @@ class Delivery(Record):
     next_at: Mapped[float | None] = mapped_column(index=True)  # None: there will be no attempt
     delivered_at: Mapped[float | None]
     outcome: Mapped[str | None]  # of the last attempt, in words
+    kept_bytes: Mapped[int] = kept("payload")
 
 
 class Deployment(Record):
@@ -264,16 +291,18 @@ class CondemnedObject(Record):
     due_at: Mapped[float]
 
 
-class IdempotencyKey(Record):
+class IdempotencyKey(Owned, Record):
     """What a creating request with this key made."""
 
     __tablename__ = "idempotency_keys"
+    __table_args__ = (counted("idempotency_keys"),)
 
     scope: Mapped[str] = mapped_column(primary_key=True)
     key: Mapped[str] = mapped_column(primary_key=True)
     fingerprint: Mapped[str]
     resource_id: Mapped[str]
     created_at: Mapped[float]
+    kept_bytes: Mapped[int] = kept()
 
 
 class AccessKey(Record):
@@ -297,6 +326,7 @@ class AuditRecord(Record):
     """Who changed what: written in the transaction of the change, and never changed itself."""
 
     __tablename__ = "audit"
+    __table_args__ = (counted("audit"),)
 
     id: Mapped[str] = mapped_column(primary_key=True)
     at: Mapped[float] = mapped_column(index=True)
@@ -305,3 +335,4 @@ class AuditRecord(Record):
     action: Mapped[str]
     target: Mapped[str]  # identifier of the record
     request_id: Mapped[str | None]
+    kept_bytes: Mapped[int] = kept(objects=False)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from sqlalchemy import Connection, Engine, inspect, select, text
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, ProgrammingError
 
-from store.errors import StoreError
+from store.errors import StoreError, in_words
 from store.locks import alone
 from store.records import Record
 from store.settings import shown
@@ -106,7 +106,12 @@ def _upgrade(connection: Connection) -> None:
 
     config = Config(attributes={"connection": connection})
     config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    command.upgrade(config, "head")
+    try:
+        command.upgrade(config, "head")
+    except DBAPIError as error:  # a step counts on a column that is not there
+        if isinstance(error, ProgrammingError) or "no such column" in str(error.orig):
+            raise _strange(connection, in_words(error)) from error
+        raise
 
 
 def _check(connection: Connection) -> None:
@@ -115,8 +120,11 @@ def _check(connection: Connection) -> None:
         try:
             connection.execute(select(table).limit(0))
         except DBAPIError as error:
-            raise StoreError(
-                f"The records in {shown(connection.engine.url)} were written by another version "
-                f"of Fewview: its table {table.name!r} differs. Use that version, or another data "
-                "folder."
-            ) from error
+            raise _strange(connection, f"its table {table.name!r} differs") from error
+
+
+def _strange(connection: Connection, why: str) -> StoreError:
+    return StoreError(
+        f"The records in {shown(connection.engine.url)} were written by another version of "
+        f"Fewview: {why}. Use that version, or another data folder."
+    )

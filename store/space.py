@@ -1,4 +1,4 @@
-"""A full disk, in the errors of all that writes to one."""
+"""A full disk or account, in the errors of all that writes to one."""
 
 import errno
 from collections.abc import Iterator
@@ -8,6 +8,7 @@ from obstore.exceptions import BaseError as ObjectStoreError
 
 from store.database import Store
 from store.disposal import discard
+from store.errors import QuotaError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 POSTGRESQL_FULL = "53100"  # disk_full
@@ -31,13 +32,13 @@ def is_full(error: BaseException | None) -> bool:
 
 @contextmanager
 def discarded_if_full(store: Store, key: str) -> Iterator[None]:
-    """Delete an object if there is no space for its record.
+    """Delete an object if there is no space for its record, or its author may not keep it.
 
     Only then: after other errors the record may have been written.
     """
     try:
         yield
     except Exception as error:
-        if is_full(error):
+        if is_full(error) or isinstance(error, QuotaError):
             discard(store, key)
         raise

@@ -14,7 +14,7 @@ from store.records import (
     LiftChunk,
     LiftRecord,
 )
-from store.usage import STORED
+from store.usage import ACCOUNTED
 
 STATUSES = ("queued", "running", "succeeded", "failed", "cancelled")
 
@@ -45,8 +45,7 @@ class Tallies(NamedTuple):
     kinds
         Of fits and of lifts, by the noun.
     stored_bytes
-        Of the objects of datasets, fits (their reconstructions), lifts and models, by the noun in
-        the plural; 0 for records of before they were counted.
+        Of all that counts in accounts, records included, by the noun in the plural.
     swept_at
         Seconds since the epoch at which the last sweep began; None before the first.
     condemned
@@ -81,8 +80,8 @@ def read(store: Store) -> Tallies:
         return Tallies(
             kinds,
             {
-                kind.__tablename__: int(session.scalar(select(func.sum(kind.stored_bytes))) or 0)
-                for kind in STORED
+                kind.__tablename__: int(session.scalar(select(func.sum(kind.kept_bytes))) or 0)
+                for kind in ACCOUNTED
             },
             None if next_sweep is None else next_sweep - SWEEP_SECONDS,
             session.scalar(select(func.count()).select_from(CondemnedObject)) or 0,

@@ -1,4 +1,11 @@
-"""What is stored, by whom, and what a key has stored and queued, held against its quotas."""
+"""The account of a project: all that it keeps, and what a key has of it, held against its quotas.
+
+Everything counts from its making until it is deleted, whatever its state: objects, records, and
+what is noted of requests (see ``store.account``). Whoever has quotas writes one transaction at a
+time (``Store.writing``), so what is added up here is what there will be. A full account stops what
+would add to it, and no deletion: that is noted in the audit, but so was the making before it, which
+counted; so quotas bound the audit, too.
+"""
 
 from typing import NamedTuple
 
@@ -8,23 +15,57 @@ from sqlalchemy.orm import Session
 from store.authors import Author, author_of
 from store.database import Store
 from store.errors import QuotaError
-from store.locks import alone
-from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
+from store.records import (
+    AuditRecord,
+    DatasetRecord,
+    Delivery,
+    FitRecord,
+    IdempotencyKey,
+    LiftRecord,
+    ModelAlias,
+    ModelRecord,
+    WebhookRecord,
+)
 
-STORED = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
+STORED = (DatasetRecord, FitRecord, LiftRecord, ModelRecord)  # which have names, and objects
+ACCOUNTED = (*STORED, ModelAlias, WebhookRecord, Delivery, IdempotencyKey, AuditRecord)
+NAMED = 3  # kinds that the error of a full account names
+# What nobody can delete goes by itself.
+GOES = {
+    Delivery.__tablename__: "a week after they ended, or with their webhook",
+    IdempotencyKey.__tablename__: "after a day",
+    AuditRecord.__tablename__: "when the service has kept them for as long as it is set to",
+}
 
 
-def check_space(session: Session, more: int) -> None:
-    """Raise ``QuotaError`` if an author who stores so many bytes more goes beyond the quota."""
+class Kept(NamedTuple):
+    """How many records there are of a kind, and the bytes of these and of their objects."""
+
+    records: int
+    size: int
+
+
+def check(session: Session, more: int = 0) -> None:
+    """Raise ``QuotaError`` if an author's account holds more than it may.
+
+    Parameters
+    ----------
+    more
+        Bytes that would come on top of what this transaction has written.
+    """
     author = author_of(session)
     if author is None or author.quotas.stored_bytes is None:
         return
-    alone(session, f"quotas of {author.key_id}")
-    stored = _stored_by(session, author)
-    if stored + more > author.quotas.stored_bytes:
+    session.flush()
+    own = {name: kept for name, (_, kept) in _account(session, author).items() if kept.records}
+    stored = sum(kept.size for kept in own.values()) + more
+    if stored > author.quotas.stored_bytes:
+        largest = sorted(own, key=lambda name: -own[name].size)[:NAMED]
+        listed = "; ".join(_in_words(name, own[name]) for name in largest)
         raise QuotaError(
-            f"This key may store {author.quotas.stored_bytes} bytes; it has stored {stored}, and "
-            f"this needs {more} more. Delete what is not needed, or ask who keeps the service."
+            f"This key may keep {author.quotas.stored_bytes} bytes, and would keep {stored}"
+            f"{f' ({listed})' if listed else ''}. Delete what is not needed (GET /storage shows "
+            "what counts), or ask who keeps the service."
         )
 
 
@@ -33,10 +74,9 @@ def check_queue(session: Session) -> None:
     author = author_of(session)
     if author is None:
         return
-    check_space(session, 1)  # of a result of unknown size
+    check(session, 1)  # of a result of unknown size
     if author.quotas.queued_jobs is None:
         return
-    alone(session, f"quotas of {author.key_id}")
     waiting = sum(
         session.scalar(
             select(func.count(kind.id)).where(kind.key_id == author.key_id, kind.status == "queued")
@@ -52,7 +92,7 @@ def check_queue(session: Session) -> None:
 
 
 class StoredItem(NamedTuple):
-    """Something stored, and how many bytes of objects it has."""
+    """Something stored, and how many bytes its record and objects have."""
 
     kind: str  # a noun in the plural
     id: str
@@ -61,42 +101,56 @@ class StoredItem(NamedTuple):
 
 
 class Usage(NamedTuple):
-    """What is stored of a project, and by its author.
+    """What is kept of a project, and of what its author made.
 
     Attributes
     ----------
-    counts, stored_bytes
-        By the noun in the plural; fits have the bytes of their reconstructions.
+    project, own
+        By the noun in the plural.
     largest
         The largest first.
-    by_author
-        Bytes that the author has stored; None without one.
     """
 
-    counts: dict[str, int]
-    stored_bytes: dict[str, int]
+    project: dict[str, Kept]
+    own: dict[str, Kept]
     largest: list[StoredItem]
-    by_author: int | None
 
 
 def usage(store: Store, most: int) -> Usage:
-    """Return what is stored where the author of the store sees it, and so many of the largest."""
-    counts, stored_bytes, items = {}, {}, []
+    """Return what is kept where the author of the store sees it, and so many of the largest."""
+    items = []
     with store.reading() as session:
-        author = author_of(session)
+        account = _account(session, author_of(session))
         for kind in STORED:
-            found = session.execute(select(func.count(kind.id), func.sum(kind.stored_bytes))).one()
-            counts[kind.__tablename__], stored_bytes[kind.__tablename__] = found[0], found[1] or 0
-            largest = select(kind.id, kind.name, kind.stored_bytes).where(kind.stored_bytes > 0)
-            largest = largest.order_by(kind.stored_bytes.desc(), kind.id).limit(most)
+            largest = select(kind.id, kind.name, kind.kept_bytes)
+            largest = largest.order_by(kind.kept_bytes.desc(), kind.id).limit(most)
             items += [StoredItem(kind.__tablename__, *row) for row in session.execute(largest)]
-        by_author = None if author is None else _stored_by(session, author)
     items.sort(key=lambda item: (-item.stored_bytes, item.id))
-    return Usage(counts, stored_bytes, items[:most], by_author)
-
-
-def _stored_by(session: Session, author: Author) -> int:
-    return sum(
-        session.scalar(select(func.sum(kind.stored_bytes)).where(kind.key_id == author.key_id)) or 0
-        for kind in STORED
+    return Usage(
+        {name: project for name, (project, _) in account.items()},
+        {name: own for name, (_, own) in account.items()},
+        items[:most],
     )
+
+
+def _account(session: Session, author: Author | None) -> dict[str, tuple[Kept, Kept]]:
+    """Return what there is of each kind in the author's project, and what of it is the author's.
+
+    Of all projects, and nobody's, without an author.
+    """
+    found = {}
+    for kind in ACCOUNTED:
+        query = select(kind.key_id, func.count(), func.sum(kind.kept_bytes)).group_by(kind.key_id)
+        if author is not None:
+            query = query.where(kind.project == author.project)
+        by_key = {key: Kept(count, int(size)) for key, count, size in session.execute(query)}
+        own = None if author is None else by_key.get(author.key_id)
+        records, sizes = zip(*by_key.values(), strict=True) if by_key else ((), ())
+        project = Kept(sum(records), sum(sizes))
+        found[kind.__tablename__] = project, own or Kept(0, 0)
+    return found
+
+
+def _in_words(name: str, kept: Kept) -> str:
+    goes = f", which go {GOES[name]}" if name in GOES else ""
+    return f"{kept.records} {name.replace('_', ' ')} with {kept.size} bytes{goes}"

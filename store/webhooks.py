@@ -144,6 +144,8 @@ def announce(session: Session, job: FitRecord | LiftRecord) -> None:
                 created_at=now,
                 attempts=0,
                 next_at=now,
+                project=webhook.project,
+                key_id=webhook.key_id,
             )
         )
 

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from types import TracebackType
 from typing import Literal
 
+from fewview.plain import visible
 from typing_extensions import TypeAliasType
 
 LogFormat = TypeAliasType("LogFormat", Literal["text", "json"])
@@ -48,6 +49,14 @@ class _Json(logging.Formatter):
         return json.dumps(line)
 
 
+class _Text(logging.Formatter):
+    """Writes each record as text; what names of others would do to a terminal is spelled out."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines."""
+        return visible(super().format(record))
+
+
 _handler = logging.StreamHandler()
 
 
@@ -58,7 +67,7 @@ def set_up(log_format: LogFormat = "text") -> None:
     """
     if not _handler.filters:
         _handler.addFilter(_add_context)
-    _handler.setFormatter(_Json() if log_format == "json" else logging.Formatter(TEXT))
+    _handler.setFormatter(_Json() if log_format == "json" else _Text(TEXT))
     logging.basicConfig(level=logging.INFO, handlers=[_handler])
     if log_format == "json":
         logging.captureWarnings(True)
@@ -71,7 +80,7 @@ def say(text: str) -> None:
     if isinstance(_handler.formatter, _Json):
         record = logging.makeLogRecord({"name": __name__, "levelname": "INFO", "msg": text})
         text = _handler.formatter.format(record)
-    print(text, flush=True)
+    print(visible(text), flush=True)
 
 
 @contextmanager

@@ -197,5 +197,5 @@ def _listed(file: Path) -> Any:
         raise FormatError(f"{file} has more than {MAX_BYTES} bytes")
     try:
         return np.array(json.loads(file.read_bytes()), np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise FormatError(f"expected a list of lists of numbers ({error})", place=file) from error

@@ -100,7 +100,7 @@ def _of_records(store: Store) -> Iterator[Metric]:
         expired.add_metric([kind], tally.expired)
     stored = GaugeMetricFamily(
         "fewview_stored_bytes",
-        "Objects of datasets, fits, lifts and models, without checkpoints.",
+        "What is kept, records and objects, by kind: what counts in the accounts of projects.",
         labels=["of"],
     )
     for name, size in found.stored_bytes.items():

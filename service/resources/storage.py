@@ -1,6 +1,6 @@
 """Storage: what is stored, how much space it takes, and how much a key has left."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
@@ -10,19 +10,45 @@ from service.http.dependencies import StoreDep
 from service.http.errors import problems
 from service.http.keyring import caller_of
 from service.resources.lists import MOST_LISTED
-from store.usage import usage
+from store.usage import Kept, usage
 
 router = APIRouter(prefix="/storage", tags=["health"])
 
 StoredKindName = TypeAliasType("StoredKindName", Literal["datasets", "fits", "lifts", "models"])
+KeptKindName = TypeAliasType(
+    "KeptKindName",
+    Literal[
+        "datasets",
+        "fits",
+        "lifts",
+        "models",
+        "aliases",
+        "webhooks",
+        "deliveries",
+        "idempotency_keys",
+        "audit",
+    ],
+)
 
 
 class StoredKind(BaseModel):
     """How many there are of a kind, and what they take."""
 
-    kind: StoredKindName
+    kind: KeptKindName = Field(
+        description="What can be deleted, or goes by itself: `deliveries` to webhooks a week after "
+        "they ended, `idempotency_keys` after a day, `audit` when the service has kept it for as "
+        "long as it is set to."
+    )
     count: int
-    stored_bytes: int = Field(description="Of fits: of their reconstructions.")
+    stored_bytes: int = Field(description="Of their records and their objects.")
+
+    @classmethod
+    def listed(cls, account: dict[str, Kept]) -> list[Self]:
+        """Return all kinds of an account."""
+        return [
+            cls.model_validate({"kind": kind, "count": kept.records, "stored_bytes": kept.size})
+            for kind, kept in account.items()
+        ]
 
 
 class StoredItem(BaseModel):
@@ -51,6 +77,7 @@ class Storage(BaseModel):
                     }
                 ],
                 "own_bytes": 4096000,
+                "own": [{"kind": "datasets", "count": 1, "stored_bytes": 4096000}],
                 "quota_bytes": 10000000,
             }
         }
@@ -60,6 +87,7 @@ class Storage(BaseModel):
     items: list[StoredKind]
     largest: list[StoredItem] = Field(description="The largest of all kinds, those first.")
     own_bytes: int = Field(description="Of what was made with the key that asks.")
+    own: list[StoredKind] = Field(description="The same by kind: what counts for its quota.")
     quota_bytes: int | None = Field(description="What that key may store; null: there is no bound.")
 
 
@@ -71,18 +99,17 @@ def get_storage(
         int, Query(ge=1, le=MOST_LISTED, description="How many of the largest are named.")
     ] = 20,
 ) -> Storage:
-    """Return what is stored of the project and how much space it takes.
+    """Return what is stored of the project and how much space it takes, records included.
 
-    What older versions stored, before bytes were counted, counts as 0.
+    Of what older versions stored before bytes were counted, reconstructions and results of lifts
+    count as 0.
     """
     found = usage(store, limit)
     return Storage(
-        stored_bytes=sum(found.stored_bytes.values()),
-        items=[
-            StoredKind(kind=kind, count=count, stored_bytes=found.stored_bytes[kind])
-            for kind, count in found.counts.items()
-        ],
+        stored_bytes=sum(kept.size for kept in found.project.values()),
+        items=StoredKind.listed(found.project),
         largest=[StoredItem.model_validate(item._asdict()) for item in found.largest],
-        own_bytes=found.by_author or 0,
+        own_bytes=sum(kept.size for kept in found.own.values()),
+        own=StoredKind.listed(found.own),
         quota_bytes=caller_of(request).author.quotas.stored_bytes,
     )

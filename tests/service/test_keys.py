@@ -333,7 +333,7 @@ def test_a_key_takes_no_more_than_its_quotas(
             message.append(stream.receive_json())
     assert "quota_exceeded" in [answer.get("code") for answer in message]
 
-    small = key(project="small", quotas=Quotas(stored_bytes=2000, queued_jobs=1))
+    small = key(project="small", quotas=Quotas(stored_bytes=8000, queued_jobs=1))
     one = stranger.post("/datasets", json=FRAMES, headers=small)
     assert one.status_code == 201
     fit = {"dataset_id": one.json()["id"], "config": CONFIG}
@@ -346,6 +346,10 @@ def test_a_key_takes_no_more_than_its_quotas(
     more = f"/datasets/{one.json()['id']}/frames"
     problem(stranger.post(more, json=large, headers=small), 429, "quota_exceeded")
     assert stranger.get(f"/datasets/{one.json()['id']}", headers=small).json()["frames"] == 3
+    metadata = {"metadata": {"log": "x" * 8000}}
+    full = stranger.patch(f"/datasets/{one.json()['id']}", json=metadata, headers=small)
+    assert "1 datasets with" in problem(full, 429, "quota_exceeded")
+    assert stranger.delete(f"/datasets/{one.json()['id']}", headers=small).status_code == 204
 
 
 def test_changes_are_in_the_audit(stranger: TestClient, key: MakeKey) -> None:

@@ -22,7 +22,10 @@ def test_a_failed_transaction_leaves_nothing(store: Store) -> None:
         with store.reading() as session:
             return int(session.execute(text("SELECT count(*) FROM idempotency_keys")).scalar_one())
 
-    insert = text("INSERT INTO idempotency_keys VALUES ('s', 'k', 'f', 'r', 0)")
+    insert = text(
+        "INSERT INTO idempotency_keys (scope, key, fingerprint, resource_id, created_at)"
+        " VALUES ('s', 'k', 'f', 'r', 0)"
+    )
     with pytest.raises(RuntimeError), store.writing() as session:  # noqa: PT012
         session.execute(insert)
         raise RuntimeError

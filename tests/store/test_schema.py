@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, text
 
-from store import lookup, schema
+from store import lookup, schema, usage
 from store.database import Store
 from store.engine import open_engine
 from store.errors import StoreError
@@ -91,6 +91,10 @@ def test_records_of_e3d0c35_are_migrated_and_hold_what_they_held(
     ]
     assert lookup.get(store, FitRecord, "fit_1").config == {"seed": 1}
     assert lookup.get(store, ModelRecord, "mdl_1").fit_id == "fit_1"
+    kept = usage.usage(store, 9).project  # what was stored before anything was counted
+    assert kept["datasets"].size > 512 + sum(2 * count * 8 for count in found[0].observed)
+    assert kept["models"].size > 512 + lookup.get(store, ModelRecord, "mdl_1").weights_bytes
+    assert kept["fits"].size > 512
     store.close()
 
 
@@ -143,11 +147,13 @@ def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
     settings = StoreSettings(data_dir=tmp_path)
     Store(settings).close()
     older = open_engine(settings.resolved_database_url, forks=False)
-    execute(older, "DROP TABLE alembic_version", "ALTER TABLE datasets DROP COLUMN findings")
-    execute(older, "DROP TABLE keys", "DROP TABLE audit")
-    for kind in ("datasets", "fits", "lifts", "models"):
-        execute(older, f"DROP INDEX ix_{kind}_project", f"DROP INDEX ix_{kind}_key_id")
+    tables_since = ("keys", "audit", "aliases", "deliveries", "webhooks")
+    execute(older, *(f"DROP TABLE {name}" for name in ("alembic_version", *tables_since)))
+    for kind in ("datasets", "fits", "lifts", "models", "idempotency_keys"):
+        execute(older, f"DROP INDEX account_of_{kind}")
+        execute(older, f"ALTER TABLE {kind} DROP COLUMN kept_bytes")
         execute(older, *(f"ALTER TABLE {kind} DROP COLUMN {name}" for name in OF_KEYS))
+    execute(older, "ALTER TABLE datasets DROP COLUMN findings")
     execute(older, *(f"DROP INDEX ix_{kind}_name" for kind in ("datasets", "fits", "lifts")))
     execute(older, "DROP INDEX ix_models_name", "DROP INDEX ix_models_fit_id")
     execute(older, "DROP INDEX ix_models_dataset_id", "DROP INDEX ix_fits_from_model")

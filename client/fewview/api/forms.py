@@ -288,7 +288,7 @@ class Queues:
 
 @dataclass(frozen=True)
 class StoredKind:
-    """How many there are of a kind, and their bytes."""
+    """How many there are of a kind, and the bytes of their records and objects."""
 
     kind: str
     count: int
@@ -307,13 +307,18 @@ class StoredItem:
 
 @dataclass(frozen=True)
 class Storage:
-    """What is stored of a project; ``quota_bytes`` is None where there is no bound."""
+    """What is stored of a project; ``quota_bytes`` is None where there is no bound.
+
+    ``own_bytes``, and ``own`` by kind, are of what was made with the key that asks: these count for
+    its quota. ``own`` is None from an older service.
+    """
 
     stored_bytes: int
     items: tuple[StoredKind, ...]
     largest: tuple[StoredItem, ...]
     own_bytes: int
     quota_bytes: int | None
+    own: tuple[StoredKind, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ calibration.py; caliscope's camera_array.toml.
 
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fewview.calibration.camera import Camera, rotation_matrix
+from fewview.calibration.documents import text_of, toml_of
 from fewview.errors import FormatError
 
 _LAST_NUMBER = re.compile(r"(?<!\d)\d+$")
@@ -26,7 +26,7 @@ _LAST_NUMBER = re.compile(r"(?<!\d)\d+$")
 
 def read(path: Path) -> list[Camera]:
     """Return the cameras of a file."""
-    fields = tomllib.loads(path.read_text(encoding="utf-8"))
+    fields = toml_of(path, text_of(path))
     sections = {**fields, **fields.get("cameras", {})}
     found = {
         name: section

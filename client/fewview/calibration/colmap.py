@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.calibration.camera import Camera, quaternion
+from fewview.calibration.documents import MAX_LINES_BYTES, text_of
 from fewview.errors import FormatError
 
 Float64 = NDArray[np.float64]
@@ -65,7 +66,7 @@ def read(path: Path) -> list[Camera]:
 
 def _lines(path: Path) -> list[str]:
     """Return the lines of a file without comments and the blanks around."""
-    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [line.strip() for line in text_of(path, MAX_LINES_BYTES).splitlines()]
     return [line for line in lines if not line.startswith("#")]
 
 

@@ -7,7 +7,10 @@ from os import PathLike
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from fewview.calibration.camera import Camera
+from fewview.calibration.plausible import check
 from fewview.errors import FormatError
 
 
@@ -34,7 +37,8 @@ def read_cameras(path: str | PathLike[str], format: str | None = None) -> list[C
     Raises
     ------
     FormatError
-        If there is no such format, or the file is not of this format.
+        If there is no such format, or the file is not of this format, is beyond the bounds of
+        `documents`, or its cameras are none (`plausible`).
     OSError
         If it cannot be read.
     """
@@ -43,11 +47,15 @@ def read_cameras(path: str | PathLike[str], format: str | None = None) -> list[C
         found: list[Camera] = _module(path, format).read(path)
     except FormatError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+    except (
+        *(ValueError, KeyError, TypeError, IndexError, AttributeError),
+        *(OverflowError, np.linalg.LinAlgError),
+    ) as error:
         reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise FormatError(f"{path}: {reason}") from error
     if not found:
         raise FormatError(f"{path} has no cameras")
+    check(str(path), found)
     return found
 
 

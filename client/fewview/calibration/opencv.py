@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fewview.calibration.camera import Camera, rotation_matrix
+from fewview.calibration.documents import json_of, text_of, yaml_of
 from fewview.errors import FormatError
 
 Float64 = NDArray[np.float64]
@@ -80,24 +81,8 @@ def read(path: Path) -> list[Camera]:
 
 def _parsed(path: Path) -> Any:
     """Parse a file into maps, lists and matrices."""
-    text = path.read_text(encoding="utf-8-sig")
-    if text.lstrip().startswith(("{", "[")):
-        return json.loads(text)
-    import yaml  # noqa: PLC0415  # not for everyone
-
-    loader: Any = type("Loader", (yaml.SafeLoader,), {})  # with OpenCV's matrices
-    for tag in ("opencv-matrix", "opencv-nd-matrix"):
-        loader.add_constructor(
-            f"tag:yaml.org,2002:{tag}",
-            lambda reader, node: reader.construct_mapping(node, deep=True),
-        )
-    lines = text.splitlines()
-    if lines and lines[0].startswith("%YAML"):  # OpenCV writes %YAML:1.0, which is none
-        lines[0] = ""
-    try:
-        return yaml.load("\n".join(lines), loader)  # noqa: S506  # a safe loader
-    except yaml.YAMLError as error:
-        raise FormatError(f"{path}: {error}") from error
+    text = text_of(path)
+    return (json_of if text.lstrip().startswith(("{", "[")) else yaml_of)(path, text)
 
 
 def _get(fields: dict[str, Any], part: str) -> Float64 | None:

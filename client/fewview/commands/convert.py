@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import AsJson, in_short
+from fewview.commands.talking import AsJson, echo, in_short
 
 if TYPE_CHECKING:
     from fewview.capture import Capture
@@ -35,14 +35,14 @@ def convert(
     except (FormatError, OSError) as error:
         _refuse(in_short(error))
     understood = summary(capture)
-    typer.echo(json.dumps(understood) if as_json else in_words(understood))
+    echo(json.dumps(understood) if as_json else in_words(understood))
     if output is not None:
         try:
             _write(capture, output)
         except OSError as error:
             _refuse(f"{output}: {error.strerror or error}")
         if not as_json:
-            typer.echo(f"wrote {output}")
+            echo(f"wrote {output}")
 
 
 def summary(capture: "Capture") -> dict[str, Any]:
@@ -126,5 +126,5 @@ def _write(capture: "Capture", path: Path) -> None:
 
 def _refuse(message: str) -> NoReturn:
     line = " ".join(message.split())
-    typer.echo(f"fewview convert: {line}", err=True)
+    echo(f"fewview convert: {line}", err=True)
     sys.exit(2)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fewview.commands.talking import WRONGLY_ASKED, AsJson, in_short, say, table
+from fewview.commands.talking import WRONGLY_ASKED, AsJson, echo, in_short, say, table
 
 if TYPE_CHECKING:
     from fewview.evaluation import Evaluation
@@ -46,7 +46,7 @@ def evaluate(
         else:
             raise ValueError("name the truth: a second npz, or --cameras and a calibration")
     except (OSError, ValueError, FewviewError) as error:
-        typer.echo(f"fewview evaluate: {in_short(error)}", err=True)
+        echo(f"fewview evaluate: {in_short(error)}", err=True)
         raise typer.Exit(WRONGLY_ASKED) from None
     say(figures, words, as_json=as_json)
 

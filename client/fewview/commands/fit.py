@@ -11,6 +11,7 @@ from fewview.commands.talking import (
     Metadata,
     Tags,
     Url,
+    echo,
     fields_in,
     findings_in,
     say,
@@ -62,7 +63,7 @@ def fit(
             stored = client.datasets.get(dataset)
             known, note = read_for_views(calibration, stored.view_names, stored.views)
             fields["calibration"] = known
-            typer.echo(note, err=True)
+            echo(note, err=True)
         made = client.fits.create(
             dataset,
             name=name,
@@ -77,7 +78,7 @@ def fit(
         with FitProgressBar(quiet=as_json) as bar:
             done = client.fits.wait(made, on_progress=bar.show)
         for line in findings_in(done.raw):
-            typer.echo(line, err=True)
+            echo(line, err=True)
         say(done.raw, str(done.model_id), as_json=as_json)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import AsJson, Url, capture_in, say, talking
+from fewview.commands.talking import AsJson, Url, capture_in, echo, say, talking
 
 
 @reading_files
@@ -53,7 +53,7 @@ def lift(
         frames, lifted = len(found), int(found.lifted.sum())
         for finding in found.findings:
             line = f"{finding.severity}: {finding.code}. {finding.effect} {finding.remedy}"
-            typer.echo(line, err=True)
+            echo(line, err=True)
         result = {
             "file": str(output),
             "frames": frames,

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from fewview.plain import visible
+
 if TYPE_CHECKING:
     from fewview.api.forms import Fit
 
@@ -15,7 +17,7 @@ class FitProgressBar:
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
@@ -39,7 +41,7 @@ class FitProgressBar:
         self._bar.start()  # with the first fit there is to show
         progress = fit.progress
         if progress is None:
-            self._bar.update(self._task, description=fit.status)
+            self._bar.update(self._task, description=visible(fit.status))
             return
         figures = []
         if progress.reprojection_error is not None:
@@ -48,7 +50,7 @@ class FitProgressBar:
             figures.append(f"{progress.seconds_left:.0f} s left")
         self._bar.update(
             self._task,
-            description=fit.status if fit.ended else progress.stage,
+            description=visible(fit.status if fit.ended else progress.stage),
             completed=progress.step,
             total=progress.steps,
             figures=", ".join(figures),

@@ -24,7 +24,7 @@ from fewview.commands.export import (
 from fewview.commands.export import in_words as result_in_words
 from fewview.commands.fit import CalibrationFile, KnownLength, config_in
 from fewview.commands.reading import Files, Options, reading_files
-from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, in_short
+from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, echo, in_short
 
 if TYPE_CHECKING:
     from fewview.animation import Unit
@@ -85,7 +85,7 @@ def run(
     except (FewviewError, ValueError, OSError) as error:
         _end(in_short(error), WRONGLY_ASKED)
     if not as_json:
-        typer.echo(in_words(summary(capture)))
+        echo(in_words(summary(capture)))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         unit = unit or (None if known_length is None else "m")
@@ -95,7 +95,7 @@ def run(
     except KeyboardInterrupt:
         _end("stopped; the same command goes on where it was", INTERRUPTED)
     understood = {"understood": summary(capture)}
-    typer.echo(json.dumps(done | understood) if as_json else result_in_words(done))
+    echo(json.dumps(done | understood) if as_json else result_in_words(done))
 
 
 def _run(
@@ -166,5 +166,5 @@ def _check_keypoints(pair: Sequence[int | str], capture: "Capture") -> None:
 
 
 def _end(message: str, status: int) -> NoReturn:
-    typer.echo(f"fewview run: {message}", err=True)
+    echo(f"fewview run: {message}", err=True)
     sys.exit(status)

@@ -16,6 +16,7 @@ from fewview.commands.talking import (
     Metadata,
     Tags,
     Url,
+    echo,
     fields_in,
     say,
     table,
@@ -111,7 +112,7 @@ def _add_list(app: typer.Typer, kind: str) -> None:
             filters = _filters(name, search, tag, metadata, status, before, after)
             items = islice(_part(client, kind).list(**filters, limit=min(most, 200)), most)
             listed = [item.raw for item in items]
-            typer.echo(json.dumps(listed) if as_json else _lines(kind, listed))
+            echo(json.dumps(listed) if as_json else _lines(kind, listed))
 
 
 def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
@@ -224,7 +225,7 @@ def _chosen(client: "Client", kind: str, filters: dict[str, Any], *, ask: bool) 
     if ask and listed:
         if not sys.stdin.isatty():
             raise ValueError(f"this would delete {len(listed)} {kind}: give --yes to confirm")
-        typer.echo(_lines(kind, listed[:SHOWN]), err=True)
+        echo(_lines(kind, listed[:SHOWN]), err=True)
         typer.confirm(f"Delete these {len(listed)} {kind}?", abort=True, err=True)
     return [item["id"] for item in listed]
 
@@ -242,7 +243,7 @@ def _delete(client: "Client", kind: str, identifiers: Sequence[str], *, as_json:
     words = f"deleted {', '.join(deleted) or 'nothing'}"
     say({"deleted": deleted, "refused": refused}, words, as_json=as_json)
     for refusal in refused:
-        typer.echo(f"fewview: {refusal['id']}: {refusal['detail']}", err=True)
+        echo(f"fewview: {refusal['id']}: {refusal['detail']}", err=True)
     if refused:
         raise typer.Exit(FAILED)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fewview.errors import FewviewError, FormatError, InvalidRequest, NotFound
+from fewview.plain import visible
 
 if TYPE_CHECKING:
     from fewview.capture import Capture
@@ -33,6 +34,14 @@ Metadata = Annotated[
 ]
 
 
+def echo(text: str, *, err: bool = False) -> None:
+    """Print a line: all that commands print goes through here.
+
+    Names and messages may be of others: what would act on the terminal is spelled out.
+    """
+    typer.echo(visible(text), err=err)
+
+
 @contextmanager
 def talking(url: str | None) -> Iterator["Client"]:
     """Give a client; an error ends the command with a line on stderr and its exit status."""
@@ -43,10 +52,10 @@ def talking(url: str | None) -> Iterator["Client"]:
             yield client
     except (FewviewError, ValueError, OSError) as error:
         status = WRONGLY_ASKED if isinstance(error, ASKED_WRONGLY) else FAILED
-        typer.echo(f"fewview: {in_short(error)}", err=True)
+        echo(f"fewview: {in_short(error)}", err=True)
         raise typer.Exit(status) from None
     except KeyboardInterrupt:
-        typer.echo("fewview: interrupted; what the service was asked for goes on", err=True)
+        echo("fewview: interrupted; what the service was asked for goes on", err=True)
         raise typer.Exit(INTERRUPTED) from None
 
 
@@ -73,7 +82,7 @@ def capture_in(files: Sequence[Path], reading: "ReadingOptions") -> "Capture":
 
     capture = read_with(files, reading)
     for note in capture.notes:
-        typer.echo(note, err=True)
+        echo(note, err=True)
     return capture
 
 
@@ -111,11 +120,12 @@ def _value(text: str) -> Any:
 
 def say(result: Mapping[str, Any], words: str, *, as_json: bool) -> None:
     """Print a result: for people, or all of it for machines."""
-    typer.echo(json.dumps(result) if as_json else words)
+    echo(json.dumps(result) if as_json else words)
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text as lines with columns."""
+    """Return rows of text as lines with columns; a name with line breaks has none in it."""
+    rows = [[visible(" ".join(text.splitlines())) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()

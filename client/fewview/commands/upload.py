@@ -11,6 +11,7 @@ from fewview.commands.talking import (
     Tags,
     Url,
     capture_in,
+    echo,
     fields_in,
     findings_in,
     say,
@@ -39,5 +40,5 @@ def upload(
             metadata=fields_in(metadata, "--metadata"),
         )
         for line in findings_in(dataset.raw):
-            typer.echo(line, err=True)
+            echo(line, err=True)
         say(dataset.raw, dataset.id, as_json=as_json)

@@ -11,6 +11,7 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.plain import unguarded
 from fewview.readers.large_arrays import gathered
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64
@@ -95,7 +96,7 @@ def table_of(source: Source) -> Table | None:
 def cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
     try:
-        return [cell.strip() for cell in next(_reader([line], separator), [])]
+        return [unguarded(cell.strip()) for cell in next(_reader([line], separator), [])]
     except csv.Error:
         return [line]
 
@@ -187,7 +188,10 @@ def read_columns(
             raise
         raise FormatError(f"not a table of numbers ({error})", place=table.source) from error
     return (
-        [Words(tuple(w), np.array(c, np.int64)) for w, c in zip(known, codes, strict=True)],
+        [
+            Words(tuple(map(unguarded, w)), np.array(c, np.int64))
+            for w, c in zip(known, codes, strict=True)
+        ],
         values,
     )
 

@@ -4,10 +4,10 @@ Frames have the numbers of the files, or count from 0; time (seconds) is left ou
 unknown. A missing point is empty. Comma and CRLF as in RFC 4180.
 """
 
-import csv
 from pathlib import Path
 
 from fewview.animation import Animation
+from fewview.plain import TableWriter
 from fewview.writers.numbers import texts, time_text
 
 
@@ -15,7 +15,7 @@ def write(path: Path, animation: Animation) -> None:
     """Write an animation as a wide table."""
     timed = animation.times is not None or animation.fps is not None
     with path.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
+        rows = TableWriter(file)
         columns = [f"{name}_{axis}" for name in animation.names for axis in "xyz"]
         rows.writerow(["frame", *(["time"] if timed else []), *columns])
         for frame, time, points in zip(

@@ -8,11 +8,16 @@ import { linkTo } from "../route.ts";
 
 const WORDS = {
   datasets: "Datasets",
-  fits: "Reconstructions of fits",
+  fits: "Fits and their reconstructions",
   lifts: "Lifts",
   models: "Models",
+  aliases: "Aliases of models",
+  webhooks: "Webhooks",
+  deliveries: "Messages to webhooks, kept for a week",
+  idempotency_keys: "Repeatable requests, kept for a day",
+  audit: "Audit, kept for as long as the service is set to",
 } as const;
-const SINGULAR = { datasets: "dataset", fits: "reconstruction", lifts: "lift", models: "model" } as const;
+const SINGULAR = { datasets: "dataset", fits: "fit", lifts: "lift", models: "model" } as const;
 
 export function StorageScreen() {
   const [storage, setStorage] = useState<Storage | null>(null);
@@ -72,11 +77,16 @@ function Quota({ storage: { own_bytes: own, quota_bytes: quota } }: { storage: S
       <progress max={1} value={share} aria-label="Part of the quota that is used" />
       {share > 0.9 && (
         <p class="warned">
-          {percent(share)} are used. Delete what is not needed, or ask who keeps the service for more.
+          {percent(share)} are used, records included. Delete what is not needed, or ask who keeps the service for more.
         </p>
       )}
     </section>
   );
+}
+
+/** Datasets, fits, lifts and models always; what else counts where there is some. */
+function isShown({ kind, count }: Storage["items"][number]) {
+  return kind in SINGULAR || count > 0;
 }
 
 function Kinds({ storage }: { storage: Storage }) {
@@ -84,7 +94,7 @@ function Kinds({ storage }: { storage: Storage }) {
   return (
     <table class="bars">
       <tbody>
-        {storage.items.map((item) => (
+        {storage.items.filter(isShown).map((item) => (
           <tr key={item.kind}>
             <th scope="row">{WORDS[item.kind]}</th>
             <td class="bar-cell" aria-hidden="true">

@@ -126,7 +126,9 @@ def test_jobs_and_bytes_are_those_of_the_records(api: TestClient) -> None:
     assert value(after, "fewview_oldest_waiting_job_seconds", kind="fit") > 0
     objects = api.app.state.store.objects  # type: ignore[attr-defined]
     stored = sum(len(objects.get(key)) for key, _ in objects.list() if dataset["id"] in key)
-    assert grown(before, after, "fewview_stored_bytes", of="datasets") == stored
+    kept = api.get("/storage?limit=200").json()["largest"]
+    (with_record,) = (item["stored_bytes"] for item in kept if item["id"] == dataset["id"])
+    assert grown(before, after, "fewview_stored_bytes", of="datasets") == with_record > stored
     api.post(f"/fits/{fit['id']}/cancel")
     ended = metrics(api)
     assert grown(after, ended, "fewview_jobs", kind="fit", status="queued") == -1

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import orjson
 import pytest
 from starlette.testclient import TestClient
 
@@ -27,19 +28,24 @@ def test_storage_names_what_takes_room(settings: Settings, weights: bytes, tmp_p
     with OwnersClient(create_app(own)) as client:
         nothing = client.get("/storage").raise_for_status().json()
         assert (nothing["stored_bytes"], nothing["largest"]) == (0, [])
-        assert set(kinds(nothing)) == {"datasets", "fits", "lifts", "models"}
+        assert {name for name, (count, _) in kinds(nothing).items() if count} == set()
         small, large = (make_dataset(client, frames=frames) for frames in (6, 60))
         model = client.post("/models?name=figure", content=weights, headers=BYTES).json()
-        client.post("/fits", json={"dataset_id": small["id"]}).raise_for_status()
+        fit = client.post("/fits", json={"dataset_id": small["id"]}).raise_for_status().json()
 
         found = client.get("/storage").json()
-        assert kinds(found)["fits"] == (1, 0)
+        fits, size_of_fit = kinds(found)["fits"]
+        assert (fits, size_of_fit > len(orjson.dumps(fit["config"]))) == (1, True)
         assert kinds(found)["datasets"][0] == 2
         sizes = {item["id"]: item["stored_bytes"] for item in found["largest"]}
-        assert sizes.keys() == {small["id"], large["id"], model["id"]}
+        assert sizes.keys() == {small["id"], large["id"], model["id"], fit["id"]}
         assert list(sizes.values()) == sorted(sizes.values(), reverse=True)
         assert sizes[large["id"]] > sizes[small["id"]] > 6 * 2 * 16 * 2 * 4
-        assert found["stored_bytes"] == found["own_bytes"] == sum(sizes.values())
+        noted, size_of_audit = kinds(found)["audit"]
+        assert noted == 4
+        assert found["stored_bytes"] == sum(sizes.values()) + size_of_audit
+        assert found["own_bytes"] == found["stored_bytes"]
+        assert found["own"] == found["items"]
         assert found["quota_bytes"] is None
         assert len(client.get("/storage?limit=1").json()["largest"]) == 1
         problem(client.get("/storage?limit=0"), 422, "invalid_input", "/limit")

@@ -1,12 +1,12 @@
 """Tables under rows of scorers, body parts and coordinates, as DeepLabCut has them."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fewview.plain import TableWriter
 from fewview.writers.numbers import texts
 
 
@@ -28,7 +28,7 @@ def write_table(
     """
     blank = [""] * (len(rows[0]) - 1) if rows else []
     with file.open("w", newline="", encoding="utf-8") as stream:
-        lines = csv.writer(stream)
+        lines = TableWriter(stream)
         for level, labels in zip(levels, zip(*columns, strict=True), strict=True):
             lines.writerow([level, *blank, *labels])
         for row, numbers in zip(rows, values, strict=True):
