@@ -77,7 +77,7 @@ class DatasetRecord(Labelled, Owned, Record):
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
     kept_bytes: Mapped[int] = kept(
         *("tags", "user_metadata", "observed", "skeleton", "image_sizes"),
-        *("last_times", "view_names", "notes", "findings"),
+        *("last_times", "view_names", "notes", "findings", "calibration"),
     )
 
 

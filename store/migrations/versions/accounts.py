@@ -1,6 +1,6 @@
 """One account of what a project keeps: what each row counts, and indexes that add it up.
 
-Revision ID: 0006
+Revision ID: 0007
 """
 
 from functools import partial
@@ -10,15 +10,24 @@ from sqlalchemy import BigInteger, Column, Computed, String
 
 # ruff: noqa: S608 (all names in the statements are those below)
 
-revision = "0006"
-down_revision = "0005"
+revision = "0007"
+down_revision = "0006"
 
 ROW = 512  # bytes, of a record and of a chunk
 LABELS = ("tags", "user_metadata")
 COUNTED = {  # columns of JSON and of long text
     "datasets": (
         *LABELS,
-        *("observed", "skeleton", "image_sizes", "last_times", "view_names", "notes", "findings"),
+        *(
+            "observed",
+            "skeleton",
+            "image_sizes",
+            "last_times",
+            "view_names",
+            "notes",
+            "findings",
+            "calibration",
+        ),
     ),
     "fits": (*LABELS, "error", "findings", "config", "progress"),
     "lifts": (*LABELS, "error", "findings", "views", "up", "layout"),
