@@ -32,7 +32,8 @@ def etag_of(record: Any) -> str:
     """Return the strong entity tag (RFC 9110, 8.8.3) of what is stored of a record."""
     if isinstance(record, Job):
         return f'"{record.revision}"'
-    columns = {column.key: getattr(record, column.key) for column in inspect(type(record)).columns}
+    written = [each.key for each in inspect(type(record)).columns if each.computed is None]
+    columns = {name: getattr(record, name) for name in written}
     return f'"{hashlib.sha256(orjson.dumps(columns)).hexdigest()[:32]}"'
 
 
