@@ -3,6 +3,7 @@ import { createHash } from "node:crypto";
 import { mkdir, readFile, rename, rm, writeFile } from "node:fs/promises";
 import { basename, join } from "node:path";
 import { build } from "esbuild";
+import { BUNDLE } from "./bundle.mjs";
 
 const output = process.argv[2];
 const fresh = `${output}.new`;
@@ -11,21 +12,13 @@ const files = join(fresh, "page");
 await rm(fresh, { recursive: true, force: true });
 await mkdir(files, { recursive: true });
 const { metafile } = await build({
-  entryPoints: ["src/main.tsx"],
+  ...BUNDLE,
   outdir: files,
-  bundle: true,
-  splitting: true,
-  format: "esm",
-  target: "es2022",
   minify: true,
   legalComments: "eof",
-  jsx: "automatic",
-  jsxImportSource: "preact",
   entryNames: "[name]-[hash]",
   chunkNames: "[name]-[hash]",
-  alias: { react: "preact/compat" },
   metafile: true,
-  logLevel: "warning",
 });
 const icon = await readFile("icon.svg");
 const iconName = `icon-${createHash("sha256").update(icon).digest("hex").slice(0, 8)}.svg`;

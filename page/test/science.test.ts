@@ -88,7 +88,7 @@ test("points that were turned, scaled and shifted are laid over each other again
       const moved = aligned(from, to, 4, each);
       const off = distances(moved, to, 4);
       assert.equal(off.length, 3);
-      assert.ok(Math.max(...off) < 2e-5, `${off}`);
+      assert.ok(Math.max(...off) < 2e-5, off.join());
       assert.ok(Number.isNaN(moved[3]));
     }
   }

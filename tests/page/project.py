@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.node import install
+from tests.node import install, node
 from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
@@ -27,4 +27,7 @@ def _installed(folder: Path) -> Path:
     (folder / "docs").mkdir()
     shutil.copy(ROOT / "docs" / "openapi.json", folder / "docs")
     install(page, "ci", "--ignore-scripts", "--prefer-offline")
+    tool = "node_modules/openapi-typescript/bin/cli.js"
+    options = ("--default-non-nullable", "false", "-o", "src/api/openapi.d.ts")
+    node(page, tool, "../docs/openapi.json", *options)
     return page

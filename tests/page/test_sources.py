@@ -1,7 +1,9 @@
 """The page's own sources: types, and arithmetic against files and pixels that Python made."""
 
 import json
+import re
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "examples"))
 from projection import project  # noqa: E402
 
+# Of a type as well: two modules whose types need each other are one idea in two places.
+IMPORT = re.compile(r'\b(?:from|import\() ?"(\.[^"]+)"')
 FRAMES, VIEWS, POINTS = 6, 3, 7
 TIMES = np.array([0.0, 1, 2.2, 3, 4, 5]) / 59.94  # seconds: one frame is late
 CAMERAS = ("weak_perspective", "perspective", "fisheye")
@@ -34,10 +38,31 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_types_agree_with_the_openapi_document(page: Path) -> None:
-    tool = "node_modules/openapi-typescript/bin/cli.js"
-    options = ("--default-non-nullable", "false", "-o", "src/api/openapi.d.ts")
-    node(page, tool, "../docs/openapi.json", *options)
     node(page, "node_modules/typescript/bin/tsc")
+
+
+def test_components_show_and_do_what_they_should(page: Path) -> None:
+    node(page, "--import", "./test/components/tsx.mjs", "--test", "test/components/*.test.tsx")
+
+
+def test_nothing_is_left_for_the_linter_and_the_formatter(page: Path) -> None:
+    node(page, "node_modules/eslint/bin/eslint.js", ".")
+    node(page, "node_modules/prettier/bin/prettier.cjs", "--check", ".")
+
+
+def test_no_module_of_the_page_leads_back_to_itself() -> None:
+    sources = ROOT / "page" / "src"
+    modules = {file.resolve(): file.read_text() for file in sources.rglob("*.ts*")}
+    imports = {
+        file: {(file.parent / found).resolve() for found in IMPORT.findall(text)} & modules.keys()
+        for file, text in modules.items()
+    }
+    assert sum(map(len, imports.values())) > len(modules)  # they were read
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        circle = " -> ".join(str(file.relative_to(sources)) for file in error.args[1])
+        pytest.fail(f"modules that import each other, types or not: {circle}")
 
 
 def test_files_pixels_and_errors_are_those_of_python(page: Path, tmp_path: Path) -> None:

@@ -1,22 +1,23 @@
 /** What the cameras of a dataset saw, read from its npz file some frames at a time. */
 
+import type { Numbers } from "../science/numbers.ts";
 import { pairAt, pairsOf } from "../science/pairs.ts";
 import { sidesOf, type Side } from "../science/sides.ts";
 import { membersOf, readMembers, type Member, type Npz, type Read } from "./npz.ts";
 import { floats, type Tensor } from "./tensor.ts";
 
 export interface Capture {
-  frames: number;
-  views: number;
-  keypoints: number;
-  names: string[];
-  sides: Side[];
-  edges: [number, number][];
-  viewNames: string[];
-  imageSizes: ([number, number] | null)[];
-  fps: number | null;
-  times: Float64Array | null; // (N,) seconds
-  hasTruth: boolean;
+  readonly frames: number;
+  readonly views: number;
+  readonly keypoints: number;
+  readonly names: readonly string[];
+  readonly sides: readonly Side[];
+  readonly edges: readonly [number, number][];
+  readonly viewNames: readonly string[];
+  readonly imageSizes: readonly ([number, number] | null)[];
+  readonly fps: number | null;
+  readonly times: Numbers | null; // (N,) seconds
+  readonly hasTruth: boolean;
 }
 
 export interface CaptureFile {
@@ -83,7 +84,7 @@ function described({ shape }: Member, { arrays, texts }: Npz, hasTruth: boolean)
 export function rateOf({ fps, times }: Capture): { rate: number; known: boolean } {
   if (fps !== null) return { rate: fps, known: true };
   if (times !== null && times.length > 1) {
-    const span = times.at(-1)! - times[0]!;
+    const span = times[times.length - 1]! - times[0]!;
     if (span > 0) return { rate: (times.length - 1) / span, known: true };
   }
   return { rate: 30, known: false };

@@ -3,7 +3,7 @@
 import { getReconstruction } from "../api/resources.ts";
 import type { Capture, CaptureFile } from "./capture.ts";
 import { readSafetensors } from "./safetensors.ts";
-import { ALL, putDetected, putStructures, type Take } from "./take.ts";
+import { ALL, putDetected, putStructures, type OpenTake } from "./take.ts";
 import type { Tensor } from "./tensor.ts";
 
 export interface Loader {
@@ -37,7 +37,13 @@ export async function structures(fit: string, query: string, slice: string): Pro
 }
 
 /** @param query that says in which frame of reference structures are */
-export function createLoader(take: Take, file: CaptureFile, fit: string, query: string, firstFrame: number): Loader {
+export function createLoader(
+  take: OpenTake,
+  file: CaptureFile,
+  fit: string,
+  query: string,
+  firstFrame: number,
+): Loader {
   const { size } = partsOf(take.frames, take);
   const parts = Array.from({ length: Math.ceil(take.frames / size) }, (_, part) => part);
   const waiting = new Set(parts.filter((part) => take.there[part * size] !== ALL));
@@ -45,7 +51,7 @@ export function createLoader(take: Take, file: CaptureFile, fit: string, query: 
   let wanted = Math.floor(firstFrame / size);
   let left = waiting.size;
   let stopped = false;
-  let complain = (_: Error) => {};
+  let complain: (error: Error) => void = () => {};
 
   /** Takes the next part from those that wait: the one that is wanted, or the first after it. */
   function next(): number | undefined {
@@ -93,7 +99,7 @@ export function createLoader(take: Take, file: CaptureFile, fit: string, query: 
 }
 
 /** Fetches all there is of frames from `first` up to `end`. */
-async function loadPart(take: Take, file: CaptureFile, fit: string, query: string, first: number, end: number) {
+async function loadPart(take: OpenTake, file: CaptureFile, fit: string, query: string, first: number, end: number) {
   const [found, detected] = await Promise.all([structures(fit, query, `${first}:${end}`), file.detected(first, end)]);
   putStructures(take, found, first, 1);
   putDetected(take, detected, first);

@@ -1,19 +1,19 @@
 /** Turns points and cameras together, so that y points up and every point keeps its pixel. */
 
 import { WEAK } from "../science/projection.ts";
-import type { Structures } from "./take.ts";
+import type { StructureArrays } from "./structures.ts";
 
 const FLIP = [1, -1, -1]; // from a camera's axes (y down, z forward) to those with y up
 
 /** Turns the frame of a camera, all frames alike. */
-export function yPointsUp(take: Structures): void {
+export function yPointsUp(take: StructureArrays): void {
   for (let at = 0; at < take.points.length; at++) take.points[at]! *= FLIP[at % 3]!;
   const turns = take.cameras.rotations;
   for (let at = 0; at < turns.length; at++) turns[at]! *= FLIP[at % 3]!; // columns of R
 }
 
 /** Puts each frame into the axes of its first view: its own cameras say where it is. */
-export function axesOfFirstView(take: Structures): void {
+export function axesOfFirstView(take: StructureArrays): void {
   const { points, cameras, views, keypoints } = take;
   const { rotations, translations, models } = cameras;
   for (let frame = 0; frame < take.frames; frame++) {
@@ -37,7 +37,7 @@ export function axesOfFirstView(take: Structures): void {
 
 /** Has a camera see the points where `X' = F (T X + s)` put them: `R' = R T^t F`, `t' = t - R T^t s`.
  */
-function turnView(take: Structures, camera: number, turn: Float32Array, shift: number[]): void {
+function turnView(take: StructureArrays, camera: number, turn: Float32Array, shift: number[]): void {
   const { rotations, translations, models, scales } = take.cameras;
   const old = rotations.slice(9 * camera, 9 * camera + 9);
   const size = models[camera] === WEAK ? scales[camera]! : 1;

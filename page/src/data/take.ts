@@ -1,8 +1,9 @@
 /** A fitted capture as the result screen draws it: what was detected, and what came of it. */
 
-import type { Cameras } from "../science/projection.ts";
+import type { Numbers } from "../science/numbers.ts";
 import type { Capture } from "./capture.ts";
 import { axesOfFirstView, yPointsUp } from "./placing.ts";
+import type { CameraArrays, StructureArrays, Structures } from "./structures.ts";
 import { floats, needed, type Tensor } from "./tensor.ts";
 
 /** `level`: y up, on the floor where feet are named. `camera`: the axes of the first static camera,
@@ -14,29 +15,34 @@ export const NOTHING = 0;
 export const STRUCTURE = 1;
 export const ALL = 2;
 
-/** Structures of some frames, and the cameras that see them. */
-export interface Structures {
-  frames: number;
-  views: number;
-  keypoints: number;
-  points: Float32Array; // (N, P, 3), y up; NaN where there is no answer
-  cameras: Cameras;
+/** A take as screens read it. Its frames come by and by, into the arrays that it has from the beginning: a number
+ * (`version` in `result/show.ts`) rises when some have come, and what was made of the arrays is made anew. */
+export interface Take extends Capture, Structures {
+  readonly detected: Numbers; // (N, K, P, 2) pixels, NaN where not observed; of frames that are ALL there
+  readonly outlierProbability: Numbers; // (N, K, P), NaN where nothing was judged
+  readonly viewErrors: Numbers; // (N, K) pixels
+  readonly frameBits: Numbers; // (N,) what was noticed of each frame, a bit a code
+  readonly frame: Frame;
+  readonly there: Numbers; // (N,) NOTHING, STRUCTURE or ALL
 }
 
-export interface Take extends Capture, Structures {
-  detected: Float32Array; // (N, K, P, 2) pixels, NaN where not observed; of frames that are ALL there
-  outlierProbability: Float32Array; // (N, K, P), NaN where nothing was judged
-  viewErrors: Float32Array; // (N, K) pixels
-  frameBits: Uint8Array; // (N,) what was noticed of each frame, a bit a code
-  frame: Frame;
-  there: Uint8Array; // (N,) NOTHING, STRUCTURE or ALL
+/** The same take as it is written: by the loader of a result, or by the feed of a stream, which made it. They alone
+ * have it as this, and hand it on as a `Take`. */
+export interface OpenTake extends Take, StructureArrays {
+  readonly points: Float32Array;
+  readonly cameras: CameraArrays;
+  readonly detected: Float32Array;
+  readonly outlierProbability: Float32Array;
+  readonly viewErrors: Float32Array;
+  readonly frameBits: Uint8Array;
+  readonly there: Uint8Array;
 }
 
 /** Returns a take that has no frames yet. What is large is not filled with NaN, which takes long: what
  * was detected is of frames that are there, and a camera without a model is none.
  *
  * @param frames of the fit: it sees those that its dataset had then */
-export function emptyTake(capture: Capture, frames: number, frame: Frame): Take {
+export function emptyTake(capture: Capture, frames: number, frame: Frame): OpenTake {
   const { views, keypoints } = capture;
   const unknown = (size: number) => new Float32Array(size).fill(NaN);
   const numbers = (size: number) => new Float32Array(size);
@@ -64,21 +70,21 @@ export function emptyTake(capture: Capture, frames: number, frame: Frame): Take 
 }
 
 /** Structures, and what is known of them besides. */
-export interface Lifted extends Structures {
-  outliers: ArrayLike<number> | undefined; // (N, K, P)
-  errors: Float32Array; // (N, K) pixels
-  bits: ArrayLike<number> | undefined; // (N,)
+export interface Lifted extends StructureArrays {
+  readonly outliers: ArrayLike<number> | undefined; // (N, K, P)
+  readonly errors: Float32Array; // (N, K) pixels
+  readonly bits: ArrayLike<number> | undefined; // (N,)
 }
 
 /** Puts frames of a reconstruction into a take: `first`, `first + step` and so on. */
-export function putStructures(take: Take, file: Map<string, Tensor>, first: number, step: number): void {
+export function putStructures(take: OpenTake, file: Map<string, Tensor>, first: number, step: number): void {
   const outliers = floats(file, "outlier_probability");
   const errors = needed(file, "reprojection_errors");
   putLifted(take, { ...structuresOf(take, file), outliers, errors, bits: file.get("findings")?.data }, first, step);
 }
 
 /** Places frames as those of the take are, and puts them there. */
-export function putLifted(take: Take, part: Lifted, first: number, step: number): void {
+export function putLifted(take: OpenTake, part: Lifted, first: number, step: number): void {
   if (take.frame === "camera") yPointsUp(part);
   if (take.frame === "view") axesOfFirstView(part);
   const { cameras } = take;
@@ -86,7 +92,7 @@ export function putLifted(take: Take, part: Lifted, first: number, step: number)
     if (from !== undefined) putFrames(into, from, part.frames, first, step);
   };
   put(take.points, part.points);
-  for (const name of Object.keys(cameras) as (keyof Cameras)[]) put(cameras[name], part.cameras[name]);
+  for (const name of Object.keys(cameras) as (keyof CameraArrays)[]) put(cameras[name], part.cameras[name]);
   put(take.outlierProbability, part.outliers);
   put(take.viewErrors, part.errors);
   put(take.frameBits, part.bits);
@@ -95,7 +101,7 @@ export function putLifted(take: Take, part: Lifted, first: number, step: number)
   }
 }
 
-function structuresOf({ views, keypoints }: Take, file: Map<string, Tensor>): Structures {
+function structuresOf({ views, keypoints }: Take, file: Map<string, Tensor>): StructureArrays {
   const points = needed(file, "points3d");
   const models = file.get("camera_models");
   if (models === undefined) throw new Error("The reconstruction has no cameras.");
@@ -128,7 +134,7 @@ function putFrames(
 }
 
 /** Puts what was detected into frames from `first` on, which then are all there. */
-export function putDetected(take: Take, detected: Float32Array, first: number): void {
+export function putDetected(take: OpenTake, detected: Float32Array, first: number): void {
   const size = 2 * take.views * take.keypoints;
   take.detected.set(detected, first * size);
   take.there.fill(ALL, first, first + detected.length / size);

@@ -41,7 +41,7 @@ export function fieldsOf(document: Document): Field[] {
           : "choice"
         : (numeric?.type as "number" | "integer" | undefined);
     if (kind === undefined || options.some((option) => option.type === "array" || option.type === "object")) return [];
-    const standard = schema.default === null || schema.default === undefined ? "none" : String(schema.default);
+    const standard = `${(schema.default ?? "none") as string | number | boolean}`;
     return [{ name, kind, choices, standard, description: schema.description ?? "" }];
   });
 }

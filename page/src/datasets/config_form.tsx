@@ -33,6 +33,7 @@ export function ConfigForm({
       config.known_length = { keypoints: [Number(length.from), Number(length.to)], length: Number(length.length) };
     }
     onChange(config);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- whoever listens is another function each time
   }, [texts, length, fields]);
 
   const open = async (event: Event) => {

@@ -14,8 +14,8 @@ const AT_A_PLACE = 12; // frames
 /** One frame of all views, and how it is drawn. */
 export interface Drawn {
   views: Float32Array[]; // (P, 2) pixels each, NaN where not observed
-  edges: [number, number][];
-  sides: Side[];
+  edges: readonly [number, number][];
+  sides: readonly Side[];
 }
 
 export function drawKeypoints(canvas: HTMLCanvasElement, { views, edges, sides }: Drawn, view: number): void {

@@ -15,8 +15,8 @@ export function recall(file: File): string | null {
 }
 
 export function forget(file: File): void {
-  const { [markOf(file)]: _, ...others } = kept();
-  keep(others);
+  const mark = markOf(file);
+  keep(Object.fromEntries(Object.entries(kept()).filter(([other]) => other !== mark)));
 }
 
 /** Two files of the same name, size and moment are taken for one. */

@@ -45,6 +45,7 @@ export function useLook(files: Placed[], description: Description): Look {
       clearTimeout(timer);
       stop.abort();
     };
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the name changes nothing of what is understood
   }, [files, fps, width, height, person, cameras, reading]);
   return look;
 }

@@ -30,7 +30,7 @@ export function Progress({ fit, history, onFit }: { fit: Fit; history: Fit[]; on
         </span>
         <button
           disabled={fit.cancel_requested}
-          onClick={() => cancelFit(fit.id).then(onFit, (error: Error) => setTrouble(error.message))}
+          onClick={() => void cancelFit(fit.id).then(onFit, (error: Error) => setTrouble(error.message))}
         >
           Cancel the fit
         </button>

@@ -97,7 +97,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   const [through, setThrough] = useState<number | null>(null);
   const selection = useSelection();
   const come = useRef(0); // frames
-  const player = useMemo(() => createPlayer(frames, running.rate ?? 30, 0), [running]);
+  const player = useMemo(() => createPlayer(frames, running.rate ?? 30, 0), [frames, running]);
   const loop = useMemo(() => createLoop(player), [player]);
   const feed = useMemo(() => {
     come.current = 0;
@@ -110,6 +110,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
       onTrouble: setTrouble,
       onReady: () => setTrouble(null),
     });
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- player and loop are of what runs; to start anew for another listener would lose frames
   }, [running]);
   useEffect(
     () => () => {

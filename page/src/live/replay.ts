@@ -1,7 +1,7 @@
 /** Sends the frames of a stored capture as its cameras took them, again and again. */
 
 import type { CaptureFile } from "../data/capture.ts";
-import { emptyTake, putDetected, putLifted, type Frame, type Take } from "../data/take.ts";
+import { emptyTake, putDetected, putLifted, type Frame, type OpenTake } from "../data/take.ts";
 import { quantile } from "../science/worst.ts";
 import { noFigures, noteSecond, type Feed, type Listener } from "./feed.ts";
 import { openStream, type Start, type Stream } from "./stream.ts";
@@ -76,7 +76,7 @@ export function startReplay(file: CaptureFile, model: string, frame: Frame, rate
 /** Sends frames at their pace, of parts that are fetched before they are due. Returns what ends it. */
 function sendInTime(
   file: CaptureFile,
-  take: Take,
+  take: OpenTake,
   stream: Stream,
   rate: number,
   onSent: (sequence: number, frame: number) => void,

@@ -93,7 +93,7 @@ function Lineage({ model }: { model: Model }) {
       (page) => setChildren(page.items),
       () => {},
     );
-  }, [model.id]);
+  }, [model.id, model.fit_id]);
   return (
     <dl class="figures">
       <div>

@@ -7,8 +7,8 @@ import { Icon } from "./icons.tsx";
 import { RemedySlot } from "./remedy_slot.ts";
 
 interface Known {
-  viewNames?: string[] | undefined;
-  keypointNames?: string[] | undefined;
+  viewNames?: readonly string[] | undefined;
+  keypointNames?: readonly string[] | undefined;
   onFrame?: (frame: number) => void;
   onKeypoint?: (keypoint: number) => void;
 }
@@ -47,7 +47,7 @@ export function FindingList({ findings, ...known }: { findings: Finding[] } & Kn
 function Where({ finding, viewNames, keypointNames, onFrame, onKeypoint }: { finding: Finding } & Known) {
   const views = finding.views ?? [];
   const keypoints = finding.keypoints ?? [];
-  const frames = (finding.frames ?? []) as [number, number][];
+  const frames = finding.frames ?? [];
   if (views.length + keypoints.length + frames.length === 0) return null;
   return (
     <p class="where">

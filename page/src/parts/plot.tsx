@@ -60,6 +60,7 @@ export function Plot({ data, height, x, y, scales, series, summary, anew, onPlot
       plot.current?.destroy();
       plot.current = null;
     };
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- what is drawn how is the same until `anew` changes
   }, [anew]);
   useEffect(() => plot.current?.setData(data), [data]);
   return <div ref={holder} class="curve" style={{ minHeight: height }} role="img" aria-label={summary} />;

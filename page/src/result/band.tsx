@@ -28,7 +28,7 @@ export function Band() {
   }, []);
   useEffect(() => {
     if (width > 0 && canvas.current !== null) drawBand(canvas.current, means, largest, heatColours(isDark()));
-  }, [width, theme, means]);
+  }, [width, theme, means, largest]);
   useEffect(
     () =>
       loop.add(() => {
@@ -37,7 +37,7 @@ export function Band() {
         input.value = `${player.frame}`;
         input.setAttribute("aria-valuetext", `frame ${player.frame}, error ${number(means[player.frame])} pixels`);
       }),
-    [loop, player],
+    [loop, player, means],
   );
   return (
     <div class="band">
@@ -81,7 +81,7 @@ function Worst() {
 export function Ranges() {
   const { findings, take, player } = useShow();
   const concerned = findings.flatMap(({ code, severity, frames }) =>
-    ((frames ?? []) as [number, number][]).map((range) => ({ code, severity, range })),
+    (frames ?? []).map((range) => ({ code, severity, range })),
   );
   if (concerned.length === 0) return null;
   return (

@@ -24,7 +24,7 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
     if (canvas.current === null || !errorsDone) return;
     const columns = Math.min(take.frames, WIDEST);
     drawHeatMap(canvas.current, errors, take.keypoints, columns, largest, theme, heatColours(isDark()));
-  }, [errorsDone, theme, take]);
+  }, [errors, errorsDone, largest, theme, take]);
 
   const cellAt = (event: MouseEvent): Cell => {
     const box = (event.currentTarget as HTMLElement).getBoundingClientRect();

@@ -28,6 +28,7 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     return () => {
       current = false;
     };
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- what changes of a fit that succeeded is its name
   }, [fit.id, loads]);
   if (trouble instanceof Unplayable) return <Remains fit={fit} why={trouble.message} />;
   if (trouble !== null) {

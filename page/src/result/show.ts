@@ -7,8 +7,8 @@ import type { CaptureFile } from "../data/capture.ts";
 import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
 import type { KeypointErrors } from "../science/errors.ts";
+import type { Numbers } from "../science/numbers.ts";
 import type { Loop } from "./loop.ts";
-import type { Overlay } from "./overlay_choice.tsx";
 import type { Player } from "./player.ts";
 import type { Selection } from "./selection.ts";
 
@@ -24,6 +24,14 @@ export interface Shown extends Selection {
   done: boolean; // whether all frames are there
   through: number | null; // view
   lookThrough(view: number | null): void;
+}
+
+/** What is laid over the structure. */
+export interface Overlay {
+  name: string;
+  points: Numbers; // (N, P, 3), moved onto the structure
+  each: boolean; // whether each frame was moved on its own, not all as one
+  model: Model | null; // that made them
 }
 
 /** The result of a fit. */

@@ -3,6 +3,7 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { Alert } from "../parts/alert.tsx";
+import type { Numbers } from "../science/numbers.ts";
 import type { Extent } from "./scene/parts.ts";
 import { nearest } from "../data/take.ts";
 import { pickOn } from "./scene/picking.ts";
@@ -25,7 +26,7 @@ const TURNS: Record<string, [number, number]> = {
 interface Props {
   onStage: (stage: Stage | null) => void;
   extent?: Extent; // of the subject, if it does not follow from the frames that are there
-  overlay?: Float32Array | null; // other points (N, P, 3), laid over the structure
+  overlay?: Numbers | null; // other points (N, P, 3), laid over the structure
   title?: string; // in the place of where one is
   plain?: boolean; // without controls
   children?: ComponentChildren; // further controls
@@ -55,6 +56,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
       onStage(null);
       made.close();
     };
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- a scene is made once for a take
   }, [take]);
 
   useEffect(() => {
@@ -63,7 +65,8 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
     return loop.addAlways(() => {
       if (stage.draw(nearest(take, player.frame))) placeLabels(stage, labels.current);
     });
-  }, [stage, loop]);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- to leave a camera, any `lookThrough` will do
+  }, [stage, loop, player, take]);
 
   useEffect(() => {
     stage?.lookThrough(through);

@@ -18,7 +18,7 @@ export function Timeline() {
         const share = take.frames > 1 ? (player.frame + 0.5) / take.frames : 0;
         if (cursor.current !== null) cursor.current.style.left = `${100 * share}%`;
       }),
-    [loop, player],
+    [loop, player, take],
   );
   return (
     <div class="timeline">
@@ -40,7 +40,7 @@ export function Timeline() {
   );
 }
 
-function caption(names: string[], selected: readonly number[]): string {
+function caption(names: readonly string[], selected: readonly number[]): string {
   if (selected.length === 0) return "Each row is a keypoint, each column a frame. Click to go there.";
   const marked = selected.map((keypoint) => names[keypoint]).join(", ");
   return `${marked} ${selected.length === 1 ? "is" : "are"} marked in all views. Esc ends that.`;

@@ -36,7 +36,7 @@ export function Transport() {
         const time = take.times?.[player.frame] ?? player.frame / player.rate;
         facts.current.textContent = `${time.toFixed(2)} s · error ${number(means[player.frame])} px`;
       }),
-    [loop, player],
+    [loop, player, means, take],
   );
 
   const { known } = rateOf(take);
@@ -104,7 +104,8 @@ export function Transport() {
 /** How many of the frames are there. */
 function Fetching({ version, trouble }: { version: number; trouble: boolean }) {
   const { there } = useShow().take;
-  const share = useMemo(() => there.reduce((sum, has) => sum + (has === ALL ? 1 : 0), 0) / there.length, [version]);
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
+  const share = useMemo(() => [...there].filter((has) => has === ALL).length / there.length, [version]);
   return (
     <span class="quiet rate" role="status">
       {trouble ? "frames cannot be fetched, trying again" : `${percent(share)} of the frames fetched`}

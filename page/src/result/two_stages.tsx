@@ -2,6 +2,7 @@
 
 import { useEffect, useMemo, useState } from "preact/hooks";
 import type { Take } from "../data/take.ts";
+import type { Numbers } from "../science/numbers.ts";
 import { NO_CAMERA } from "../science/projection.ts";
 import { OverlayChoice } from "./overlay_choice.tsx";
 import type { Stage } from "./scene/scene.ts";
@@ -44,8 +45,9 @@ export function TwoStages({ stage, onStage }: { stage: Stage | null; onStage: (s
 }
 
 /** Returns a take of other structures, of which no cameras are known. */
-function withPoints(take: Take, points: Float32Array): Take {
-  return { ...take, points, cameras: { ...take.cameras, models: take.cameras.models.map(() => NO_CAMERA) } };
+function withPoints(take: Take, points: Numbers): Take {
+  const models = new Int8Array(take.cameras.models.length).fill(NO_CAMERA);
+  return { ...take, points, cameras: { ...take.cameras, models } };
 }
 
 /** Returns what keeps two stages seen from the same place, whichever is turned. */

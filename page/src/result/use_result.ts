@@ -1,6 +1,6 @@
 /** All that the parts of the result screen share: what follows from a result, and what is chosen. */
 
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useCallback, useEffect, useMemo, useRef, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import { rateOf } from "../data/capture.ts";
 import type { Result } from "../data/loading.ts";
@@ -13,11 +13,10 @@ import { WEAK } from "../science/projection.ts";
 import { worstFrames } from "../science/worst.ts";
 import { listenToKeys } from "./keys.ts";
 import { createLoop } from "./loop.ts";
-import type { Overlay } from "./overlay_choice.tsx";
 import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useSelection } from "./selection.ts";
-import type { Show } from "./show.ts";
+import type { Overlay, Show } from "./show.ts";
 
 const WORST = 10; // frames that are marked
 const PAUSE_MS = 250; // between two drawings of what has come
@@ -30,14 +29,20 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   const player = useMemo(() => createPlayer(take.frames, rateOf(take).rate, frameInAddress()), [take]);
   const loop = useMemo(() => createLoop(player), [player]);
   const { version, done, trouble } = useFrames(loader, player);
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const means = useMemo(() => frameErrors(take), [take, version]);
-  const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means]);
+  const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means, take]);
   const [overlay, setOverlay] = useState<Overlay | null>(null);
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const posed = useMemo(() => posedViews(take), [take, version]);
-  const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
+  const lookThrough = useCallback(
+    (view: number | null) => setThrough(view === null || posed[view] ? view : null),
+    [posed],
+  );
   const findings = useMemo(() => {
     const known = new Set(fit.findings.map((finding) => finding.code));
     return [...fit.findings, ...frameFindings(take.frameBits).filter((finding) => !known.has(finding.code))];
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   }, [fit, take, version]);
   const { errors, errorsDone } = useKeypointErrors(result, done);
   const stageNow = useRef<Stage | null>(null);
@@ -48,7 +53,7 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   useEffect(
     () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough }),
-    [player, worst],
+    [player, worst, take, lookThrough],
   );
   useEffect(() => {
     const angle = currentRoute().query.get("angle")?.split(",").map(Number);
@@ -131,6 +136,6 @@ function useKeypointErrors({ take, loader }: Result, allThere: boolean) {
       stop();
       clearTimeout(timer);
     };
-  }, [work]);
+  }, [work, loader, take]);
   return { errors: work.errors, errorsDone: errorsDone && allThere };
 }

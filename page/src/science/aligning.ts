@@ -1,5 +1,7 @@
 /** Lays one set of points over another: the similarity (rotation, scale, shift) nearest to it. */
 
+import type { Numbers } from "./numbers.ts";
+
 /** Row after row. */
 type Matrix3 = [number, number, number, number, number, number, number, number, number];
 
@@ -7,7 +9,7 @@ type Matrix3 = [number, number, number, number, number, number, number, number, 
  * frame is moved on its own, else all of them as one.
  *
  * Horn, Closed-form solution of absolute orientation using unit quaternions (1987). */
-export function aligned(from: Float32Array, to: Float32Array, keypoints: number, each: boolean): Float32Array {
+export function aligned(from: Numbers, to: Numbers, keypoints: number, each: boolean): Float32Array {
   const moved = new Float32Array(to.length).fill(NaN);
   const size = each ? 3 * keypoints : to.length;
   for (let start = 0; start < to.length; start += size) {
@@ -17,7 +19,7 @@ export function aligned(from: Float32Array, to: Float32Array, keypoints: number,
   return moved;
 }
 
-function align(from: Float32Array, to: Float32Array, start: number, end: number, moved: Float32Array): void {
+function align(from: Numbers, to: Numbers, start: number, end: number, moved: Float32Array): void {
   const pairs: number[] = [];
   for (let at = start; at < end; at += 3) {
     if (Number.isFinite(from[at]! + to[at]!)) pairs.push(at);
@@ -46,7 +48,7 @@ function align(from: Float32Array, to: Float32Array, start: number, end: number,
   }
 }
 
-function meanOf(points: Float32Array, pairs: number[]): number[] {
+function meanOf(points: Numbers, pairs: number[]): number[] {
   const sum = [0, 0, 0];
   for (const at of pairs) for (let i = 0; i < 3; i++) sum[i]! += points[at + i]!;
   return sum.map((value) => value / pairs.length);
@@ -102,7 +104,7 @@ function rotate(A: number[], V: number[], p: number, q: number): void {
 }
 
 /** Returns the mean distance of each frame's points (N,); NaN where none has a partner. */
-export function distances(a: Float32Array, b: Float32Array, keypoints: number): Float32Array {
+export function distances(a: Numbers, b: Numbers, keypoints: number): Float32Array {
   const size = 3 * keypoints;
   return Float32Array.from({ length: Math.floor(a.length / size) }, (_, frame) => {
     let [sum, count] = [0, 0];

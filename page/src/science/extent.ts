@@ -1,5 +1,6 @@
 /** How large things are, and where they lie. */
 
+import type { Numbers } from "./numbers.ts";
 import { quantile } from "./worst.ts";
 
 export interface Box {
@@ -14,7 +15,7 @@ const ASTRAY = 0.01; // share of coordinates at either end that does not count
 /** Returns the box of points (N, P, 3) over all frames, without those that lie far astray.
  *
  * @param there which frames are known, if not all are */
-export function boxOf(points: Float32Array, keypoints: number, there?: Uint8Array): Box {
+export function boxOf(points: Numbers, keypoints: number, there?: Numbers): Box {
   const axes: number[][] = [[], [], []];
   for (const frame of sampled(points.length / (3 * keypoints), keypoints, there)) {
     for (let at = 3 * keypoints * frame; at < 3 * keypoints * (frame + 1); at += 3) {
@@ -28,7 +29,7 @@ export function boxOf(points: Float32Array, keypoints: number, there?: Uint8Arra
 }
 
 /** Returns the size of the subject: the median diagonal of a frame's box. */
-export function subjectSize(points: Float32Array, keypoints: number, there?: Uint8Array): number {
+export function subjectSize(points: Numbers, keypoints: number, there?: Numbers): number {
   const diagonals: number[] = [];
   for (const frame of sampled(points.length / (3 * keypoints), keypoints, there)) {
     const low = [Infinity, Infinity, Infinity];
@@ -47,9 +48,9 @@ export function subjectSize(points: Float32Array, keypoints: number, there?: Uin
 }
 
 /** Returns how far keypoints go from one frame to the next, in most frames. */
-export function usualStep(points: Float32Array, keypoints: number, there?: Uint8Array): number {
+export function usualStep(points: Numbers, keypoints: number, there?: Numbers): number {
   const size = 3 * keypoints;
-  const followed = there?.map((known, frame) => (there[frame + 1] ? known : 0));
+  const followed = there && Uint8Array.from(there, (known, frame) => (there[frame + 1] ? known : 0));
   const steps = sampled(points.length / size - 1, keypoints, followed).map((frame) => {
     let [sum, count] = [0, 0];
     for (let at = frame * size; at < (frame + 1) * size; at += 3) {
@@ -75,7 +76,7 @@ export function roundLength(length: number): number {
   return power * (digit < 1.5 ? 1 : digit < 3.5 ? 2 : digit < 7.5 ? 5 : 10);
 }
 
-function sampled(frames: number, keypoints: number, there?: Uint8Array): number[] {
+function sampled(frames: number, keypoints: number, there?: Numbers): number[] {
   const known: number[] = [];
   for (let frame = 0; frame < frames; frame++) if (there === undefined || there[frame]! > 0) known.push(frame);
   const step = Math.max(1, Math.floor(known.length / Math.min(SAMPLES, SAMPLED_POINTS / keypoints)));

@@ -1,18 +1,20 @@
 /** From points to pixels: weak perspective, and OpenCV's two lenses. */
 
+import type { Numbers } from "./numbers.ts";
+
 export const WEAK = 0;
 export const FISHEYE = 2;
 export const NO_CAMERA = -1;
 
 /** The cameras of N frames of K views, as reconstructions have them. */
 export interface Cameras {
-  models: Int8Array; // (N, K): -1 none, 0 weak perspective, 1 perspective, 2 fisheye
-  rotations: Float32Array; // (N, K, 3, 3)
-  translations: Float32Array; // (N, K, 3)
-  scales: Float32Array; // (N, K) pixels per unit, of weak perspective
-  focals: Float32Array; // (N, K, 2) pixels
-  principalPoints: Float32Array; // (N, K, 2) pixels
-  distortions: Float32Array; // (N, K, 8) k1, k2, p1, p2, k3, k4, k5, k6
+  readonly models: Numbers; // (N, K): -1 none, 0 weak perspective, 1 perspective, 2 fisheye
+  readonly rotations: Numbers; // (N, K, 3, 3)
+  readonly translations: Numbers; // (N, K, 3)
+  readonly scales: Numbers; // (N, K) pixels per unit, of weak perspective
+  readonly focals: Numbers; // (N, K, 2) pixels
+  readonly principalPoints: Numbers; // (N, K, 2) pixels
+  readonly distortions: Numbers; // (N, K, 8) k1, k2, p1, p2, k3, k4, k5, k6
 }
 
 /** Writes the pixels (P, 2) of points into `into`, NaN where there is no answer.
@@ -22,7 +24,7 @@ export interface Cameras {
 export function project(
   cameras: Cameras,
   camera: number,
-  points: Float32Array,
+  points: Numbers,
   first: number,
   count: number,
   into: Float32Array,

@@ -5,6 +5,7 @@ import type { Take } from "../../data/take.ts";
 import { keepSize, pixelRatio, resize } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, usualStep } from "../../science/extent.ts";
+import type { Numbers } from "../../science/numbers.ts";
 import { createParts, type Extent } from "./parts.ts";
 import { placesOf } from "./picking.ts";
 import { takeRenderer } from "./renderer.ts";
@@ -28,7 +29,7 @@ export interface Stage extends Viewpoint {
   keypointPlaces(): Float32Array;
   showTrails(shown: boolean): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
-  overlay(points: Float32Array | null): void;
+  overlay(points: Numbers | null): void;
   close(): void;
 }
 
@@ -43,7 +44,7 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
   const canvas = renderer.domElement;
   holder.append(canvas);
   const { scene, skeleton, ghost, trails, floor, frusta } = createParts(take, extent);
-  let others: Float32Array | null = null;
+  let others: Numbers | null = null;
   let drawn = -1;
   let stale = true;
   const spoil = () => {

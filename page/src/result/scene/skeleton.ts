@@ -3,6 +3,7 @@
 import { Color, CylinderGeometry, DynamicDrawUsage, Group, IcosahedronGeometry, InstancedMesh } from "three";
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
+import type { Numbers } from "../../science/numbers.ts";
 import { litMaterial } from "./lit_material.ts";
 
 const GHOST = 0.3; // opacity
@@ -10,7 +11,7 @@ const BONE = 0.45; // radius of a bone, as a share of a joint's
 
 export interface Skeleton {
   group: Group;
-  show(frame: number, points: Float32Array): void;
+  show(frame: number, points: Numbers): void;
   paint(theme: Theme, selected: readonly number[]): void;
 }
 
@@ -67,7 +68,7 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
 function writeSphere(
   into: Float32Array | ArrayLike<number>,
   at: number,
-  points: Float32Array,
+  points: Numbers,
   point: number,
   radius: number,
 ): void {
@@ -87,7 +88,7 @@ function writeSphere(
 function writeCylinder(
   into: Float32Array | ArrayLike<number>,
   at: number,
-  points: Float32Array,
+  points: Numbers,
   a: number,
   b: number,
   radius: number,

@@ -3,6 +3,7 @@
 import { BufferAttribute, BufferGeometry, Color, DynamicDrawUsage, LineBasicMaterial, LineSegments } from "three";
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
+import type { Numbers } from "../../science/numbers.ts";
 
 const LENGTH = 24; // frames
 
@@ -68,7 +69,7 @@ export function createTrails(take: Take, jump: number): Trails {
   };
 }
 
-function isStep(points: Float32Array, a: number, b: number, jump: number): boolean {
+function isStep(points: Numbers, a: number, b: number, jump: number): boolean {
   const dx = points[b]! - points[a]!;
   const dy = points[b + 1]! - points[a + 1]!;
   const dz = points[b + 2]! - points[a + 2]!;

@@ -1,0 +1,105 @@
+/** What single components show, without a browser: whole screens are tested by clicking (tests/page). */
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import type { Dataset, Finding, Fit } from "../../src/api/resources.ts";
+import { ConfigForm } from "../../src/datasets/config_form.tsx";
+import { Progress } from "../../src/fits/progress.tsx";
+import { FindingList } from "../../src/parts/finding_list.tsx";
+import { cellText, HeatKey } from "../../src/result/heat_map.tsx";
+import { Legend } from "../../src/result/legend.tsx";
+import { ShowContext, type Show } from "../../src/result/show.ts";
+import { LEFT_OUT, UNSEEN } from "../../src/science/errors.ts";
+import { happens, rendered } from "./rendered.ts";
+
+const FINDING: Finding = {
+  code: "noise_high",
+  severity: "warning",
+  views: [1],
+  keypoints: [0],
+  frames: [[3, 7]],
+  evidence: { share: 0.25 },
+  effect: "Structures are as noisy.",
+  remedy: "Fit with `noise: 3`.",
+};
+
+test("findings are listed with where they are, warnings first, and lead there", async () => {
+  const went: string[] = [];
+  const info: Finding = {
+    ...FINDING,
+    code: "one_view",
+    severity: "info",
+    remedy: "",
+    views: [],
+    keypoints: [],
+    frames: [],
+  };
+  const page = await rendered(
+    <FindingList
+      findings={[info, FINDING]}
+      viewNames={["left", "right"]}
+      keypointNames={["nose"]}
+      onFrame={(frame) => went.push(`frame ${frame}`)}
+      onKeypoint={(keypoint) => went.push(`keypoint ${keypoint}`)}
+    />,
+  );
+  const [first, second] = page.getAllByRole("listitem");
+  assert.match(first?.textContent ?? "", /Noise high.*right.*as noisy/);
+  assert.match(second?.textContent ?? "", /One view/);
+  assert.equal(page.getByText("noise: 3").tagName, "CODE");
+  await happens(page.getByRole("button", { name: "frames 3–7" }), "click");
+  await happens(page.getByRole("button", { name: "nose" }), "click");
+  assert.deepEqual(went, ["frame 3", "keypoint 0"]);
+});
+
+test("a form for a fit hands on what was typed, and nothing that was not", async () => {
+  const schema = readFileSync(new URL("../../../docs/openapi.json", import.meta.url), "utf8");
+  globalThis.fetch = () => Promise.resolve(new Response(schema));
+  let config: Record<string, unknown> = {};
+  const dataset = { keypoints: 2, skeleton: { keypoint_names: ["hip", "knee"] } } as unknown as Dataset;
+  const page = await rendered(<ConfigForm dataset={dataset} onChange={(next) => (config = next)} />);
+  assert.deepEqual(config, {});
+  await happens(page.getByLabelText("From keypoint"), "change", "0");
+  await happens(page.getByLabelText("To keypoint"), "change", "1");
+  assert.deepEqual(config, {}); // a length is wanting
+  await happens(page.getByLabelText(/^Length/), "input", "0.42");
+  assert.deepEqual(config, { known_length: { keypoints: [0, 1], length: 0.42 } });
+});
+
+const fit = (progress: Partial<NonNullable<Fit["progress"]>> | null): Fit =>
+  ({ id: "fit_1", status: "running", cancel_requested: false, frames: 1200, findings: [], progress }) as unknown as Fit;
+
+test("progress shows how far a fit is", async () => {
+  const going = fit({ step: 300, steps: 1200, stage: "training", reprojection_error: 4.2, seconds_left: 90 });
+  const page = await rendered(<Progress fit={going} history={[]} onFit={() => {}} />);
+  assert.equal(page.getByRole<HTMLProgressElement>("progressbar").value, 0.25);
+  page.getByText(/step 300 of 1,200 · about 90 s left|about 2 min left/);
+  page.getByText("Training");
+  const starting = await rendered(<Progress fit={fit(null)} history={[]} onFit={() => {}} />);
+  starting.getByText("Starting");
+  assert.equal(starting.queryByText(/left/), null);
+});
+
+const show = {
+  take: { keypoints: 2, frames: 2, names: ["hip", "knee"] },
+  errors: { worst: Float32Array.of(1.5, UNSEEN, LEFT_OUT, 4), outliers: new Uint8Array(4) },
+  errorsDone: true,
+  selected: null,
+} as unknown as Show;
+
+test("a legend marks keypoints by name; a cell of the heat map has its meaning in words", async () => {
+  const marked: (number | null)[] = [];
+  const page = await rendered(
+    <ShowContext.Provider value={{ ...show, select: (keypoint) => marked.push(keypoint) }}>
+      <Legend crop="subject" setCrop={() => {}} />
+      <HeatKey />
+    </ShowContext.Provider>,
+  );
+  await happens(page.getByLabelText("mark"), "change", "1");
+  await happens(page.getByLabelText("mark"), "change", "");
+  assert.deepEqual(marked, [1, null]);
+  page.getByText(/0.*4 px.*outlier, left out.*not observed/s);
+  const words = [0, 1].flatMap((frame) => [0, 1].map((keypoint) => cellText(show, { frame, keypoint })));
+  assert.match(words.join("; "), /hip, frame 0: 1.5 px; knee, frame 0: not observed.*hip, frame 1: outlier.*4 px/);
+});
