@@ -43,10 +43,10 @@ class ProgressDisplay:
             return
         step, steps = progress["step"], progress["steps"]
         loss, error = number(progress["loss"]), number(progress["reprojection_error"])
-        left = number(progress["seconds_left"])
+        left = progress["seconds_left"]
         text = (
             f"{progress['stage']}  step {step}/{steps}  loss {loss}  "
-            f"reprojection error {error} px  {left} s left"
+            f"reprojection error {error} px" + (f"  {number(left)} s left" if left else "")
         )
         self._bar.update(self._task, completed=step, total=steps, description=text)
         ended = fit["finished_at"] is not None

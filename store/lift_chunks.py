@@ -168,17 +168,18 @@ def _count(session: Session, lift: LiftRecord, chunk: LiftChunk, layout: Layout)
 def _seconds_left(session: Session, lift: LiftRecord) -> float | None:
     """Predict how long the frames left take, at the pace of the chunks finished last."""
     session.flush()
-    recent = session.scalars(
+    found = session.scalars(
         select(LiftChunk)
         .where(LiftChunk.lift_id == lift.id, LiftChunk.finished_at.is_not(None))
         .order_by(LiftChunk.finished_at.desc())
         .limit(RECENT_CHUNKS)
     ).all()
-    if len(recent) < 2:
-        return None
-    took = (recent[0].finished_at or 0) - (recent[-1].finished_at or 0)
-    frames = sum(chunk.frames for chunk in recent[:-1])
-    return (lift.frames - lift.frames_done) * took / frames
+    recent = list(found)
+    # Helpers work side by side: between their first chunks lies no time that shows a pace.
+    all_of_it = len(recent) < RECENT_CHUNKS
+    begun = lift.started_at if all_of_it else recent.pop().finished_at
+    took = (recent[0].finished_at or 0) - (begun or 0)
+    return (lift.frames - lift.frames_done) * took / sum(chunk.frames for chunk in recent)
 
 
 def release(store: Store, helper: Helper, chunk: LiftChunk) -> None:

@@ -50,6 +50,40 @@ def can_afford_refresh(clock: Clock, budget_s: float) -> bool:
     return (clock.refresh_seconds or 0.0) <= REFRESH_LIMIT * (budget_s - clock.seconds)
 
 
+def seconds_left(
+    schedule: Schedule,
+    step: int,
+    clock: Clock,
+    *,
+    refreshes_done: int,
+    cameras_sought: bool,
+    result_seconds: float | None,
+) -> float | None:
+    """Predict how long the remaining part takes, at the present pace.
+
+    None while there is no pace: the search for cameras before the first step shows none, nor do the
+    first steps. What has not been measured counts as the share of the time that is assumed for it.
+    """
+    if step >= schedule.steps:
+        return 0.0
+    if step <= WARM_UP_STEPS:
+        return None
+    refreshes = max(len(schedule.refreshes) - refreshes_done, 0)
+    measured, assumed = (schedule.steps - step) * clock.step_seconds, 0.0
+    if result_seconds is None:
+        assumed += RESULT_SHARE
+    else:
+        measured += result_seconds
+    if cameras_sought and refreshes:
+        assumed += CALIBRATION_SHARE
+        refreshes -= 1
+    if clock.refresh_seconds is None:
+        assumed += REFRESH_SHARE * refreshes
+    else:
+        measured += refreshes * clock.refresh_seconds
+    return measured / (1 - assumed)
+
+
 def plan_within_budget(
     schedule: Schedule,
     step: int,

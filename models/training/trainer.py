@@ -28,6 +28,7 @@ from models.training.budget import (
     WARM_UP_STEPS,
     can_afford_refresh,
     plan_within_budget,
+    seconds_left,
 )
 from models.training.checkpoints import Checkpoint
 from models.training.holdout import Holdout, split
@@ -64,7 +65,7 @@ class Progress:
     steps: int
     loss: float  # running mean over recent batches
     reprojection_error: float  # pixels, running mean over recent batches
-    seconds_left: float
+    seconds_left: float | None  # None while no pace is known
     stage: Stage = "training"
     stopped_by: StoppedBy | None = None  # why the fit ended; None while it goes on
 
@@ -349,8 +350,15 @@ class Trainer:
 
     def _progress(self, stage: Stage) -> Progress:
         state, steps = self._state, self._state.schedule.steps
-        left = state.clock.seconds / max(state.step, 1) * (steps - state.step)
-        if self.config.budget_s is not None:
+        left = seconds_left(
+            state.schedule,
+            state.step,
+            state.clock,
+            refreshes_done=state.refreshes_done,
+            cameras_sought=state.teaching.cameras == "sought",
+            result_seconds=state.teaching.result_seconds,
+        )
+        if self.config.budget_s is not None and left is not None:
             left = max(min(left, self.config.budget_s - state.clock.seconds), 0.0)
         return Progress(
             state.step, steps, state.loss, state.reprojection_error, left, stage, self.stopped_by

@@ -93,7 +93,8 @@ class FitProgress(BaseModel):
         description="Pixels, running mean over recent batches."
     )
     seconds_left: float | None = Field(
-        description="An estimate from the steps taken; it can rise when the stage changes."
+        description="An estimate at the pace of the last steps; it can rise when the stage "
+        "changes. Null while there is no pace: before and during the first steps."
     )
     stopped_by: StoppedBy | None = Field(
         None,

@@ -78,6 +78,7 @@ def test_helpers_share_the_chunks_and_the_last_ends_the_lift(
     first, second = claim(store, ours), claim(store, theirs)
     assert lookup.get(store, LiftRecord, lift.id).status == "running"
     finish(store, theirs, second)
+    assert lookup.get(store, LiftRecord, lift.id).seconds_left is not None  # a chunk is a pace
     third = claim(store, theirs)
     assert [(c.first_frame, c.frames) for c in (first, second, third)] == [(0, 5), (5, 5), (10, 2)]
     assert lift_chunks.claim(store, join(lift)) is None

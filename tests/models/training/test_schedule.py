@@ -11,7 +11,7 @@ from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import pack, read_about
 from models.settings.config import WARM_STEPS, FitConfig, warm
-from models.training.budget import Clock, plan_within_budget
+from models.training.budget import WARM_UP_STEPS, Clock, plan_within_budget, seconds_left
 from models.training.holdout import split
 from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
 from models.training.trainer import Progress, Trainer, fit
@@ -222,3 +222,31 @@ def test_fits_run_on_the_cpu_by_default(capture: SyntheticCapture) -> None:
     config = QUICK.model_copy(update={"refine": "off"})
     plain, given = fit(capture.keypoints, config), fit(capture.keypoints, config, device="cpu")
     assert plain.to_bytes() == given.to_bytes()
+
+
+def test_the_search_before_the_first_step_is_no_pace() -> None:
+    schedule = Schedule.of(FitConfig(steps=4000))
+    clock = Clock(seconds=13.0)  # of a search for cameras, and then steps of 8 ms
+    known = {"refreshes_done": 1, "cameras_sought": False, "result_seconds": None}
+    left = []
+    for step in range(4001):
+        left.append(seconds_left(schedule, step, clock, **known))  # type: ignore[arg-type]
+        clock.step_seconds = 0.008
+    assert left[: WARM_UP_STEPS + 1] == [None] * (WARM_UP_STEPS + 1)
+    assert all(32 * (1 - step / 4000) <= (left[step] or 0) < 60 for step in range(6, 4000))
+    assert left[-1] == 0
+
+
+def test_what_is_measured_replaces_what_is_assumed_of_the_time_left() -> None:
+    schedule = Schedule.of(FitConfig(steps=4000))
+    clock = Clock(step_seconds=0.01, refresh_seconds=2.0)
+    refreshes = len(schedule.refreshes)
+    measured = seconds_left(
+        schedule, 2000, clock, refreshes_done=1, cameras_sought=False, result_seconds=3.0
+    )
+    assert measured == pytest.approx(20 + 2 * (refreshes - 1) + 3)
+    sought = seconds_left(
+        schedule, 1000, clock, refreshes_done=0, cameras_sought=True, result_seconds=3.0
+    )
+    assert sought is not None
+    assert sought > 30 + 2 * (refreshes - 1) + 3  # the search takes time, too

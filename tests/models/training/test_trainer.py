@@ -13,6 +13,7 @@ from models.capture.synthetic import SyntheticCapture, synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError, pack, read_about
 from models.settings.config import FitConfig
+from models.training.budget import WARM_UP_STEPS
 from models.training.trainer import Progress, Trainer, fit
 from tests.sharing import fitted_once
 
@@ -272,7 +273,8 @@ def test_progress_counts_to_the_end_and_the_error_falls(small: SyntheticCapture)
     assert found.count(83) > 10  # chances to stop while the cameras are sought, after a third
     assert [progress.step for progress in seen] == sorted(trained + found)
     assert seen[-1].seconds_left == 0
-    assert all(progress.seconds_left > 0 for progress in seen[:-1])
+    assert all(progress.seconds_left is None for progress in seen[:WARM_UP_STEPS])
+    assert all((progress.seconds_left or 0) > 0 for progress in seen[WARM_UP_STEPS:-1])
     assert seen[-1].loss < 0.5 * seen[0].loss
     assert seen[-1].reprojection_error < 0.5 * seen[0].reprojection_error
     assert prior.curve[-1] == (250, seen[-1].loss, seen[-1].reprojection_error)
