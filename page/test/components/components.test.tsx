@@ -85,20 +85,19 @@ const show = {
   take: { keypoints: 2, frames: 2, names: ["hip", "knee"] },
   errors: { worst: Float32Array.of(1.5, UNSEEN, LEFT_OUT, 4), outliers: new Uint8Array(4) },
   errorsDone: true,
-  selected: null,
+  selected: [],
 } as unknown as Show;
 
-test("a legend marks keypoints by name; a cell of the heat map has its meaning in words", async () => {
-  const marked: (number | null)[] = [];
+test("a legend offers what views show; a cell of the heat map has its meaning in words", async () => {
+  const chosen: string[] = [];
   const page = await rendered(
-    <ShowContext.Provider value={{ ...show, select: (keypoint) => marked.push(keypoint) }}>
-      <Legend crop="subject" setCrop={() => {}} />
+    <ShowContext.Provider value={show}>
+      <Legend crop="subject" setCrop={(crop) => chosen.push(crop)} />
       <HeatKey />
     </ShowContext.Provider>,
   );
-  await happens(page.getByLabelText("mark"), "change", "1");
-  await happens(page.getByLabelText("mark"), "change", "");
-  assert.deepEqual(marked, [1, null]);
+  await happens(page.getByLabelText("views show"), "change", "image");
+  assert.deepEqual(chosen, ["image"]);
   page.getByText(/0.*4 px.*outlier, left out.*not observed/s);
   const words = [0, 1].flatMap((frame) => [0, 1].map((keypoint) => cellText(show, { frame, keypoint })));
   assert.match(words.join("; "), /hip, frame 0: 1.5 px; knee, frame 0: not observed.*hip, frame 1: outlier.*4 px/);

@@ -1,6 +1,7 @@
 /** Keypoints under the pointer: their names as it passes over them, and which of them is clicked. */
 
 import { Matrix4, type PerspectiveCamera, Vector3 } from "three";
+import type { Numbers } from "../../science/numbers.ts";
 
 const REACH = 12; // pixels of the page around a keypoint that count as it,
 const TOUCHED = 24; // and around one that a finger points to
@@ -81,7 +82,7 @@ export function pickOn(canvas: HTMLCanvasElement, { names, places, onPick }: Pic
  *
  * @param first of the frame's points (P, 3), in numbers */
 export function placesOf(
-  points: Float32Array,
+  points: Numbers,
   first: number,
   keypoints: number,
   viewer: PerspectiveCamera,
