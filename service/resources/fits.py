@@ -10,6 +10,8 @@ from redis import Redis
 from redis.exceptions import RedisError
 from typing_extensions import TypeAliasType
 
+from models.findings.finding import Finding
+from models.findings.verdict import Verdict, verdict_of
 from models.settings.config import FitConfig
 from service.http.dependencies import (
     IdempotencyHeader,
@@ -146,6 +148,7 @@ class Fit(BaseModel):
                 "model_id": None,
                 "error": None,
                 "findings": [],
+                "verdict": None,
             }
         }
     )
@@ -172,10 +175,14 @@ class Fit(BaseModel):
     model_id: str | None
     error: FitError | None
     findings: Findings
+    verdict: Verdict | None = Field(
+        None, description="What may be relied on, by the findings; null until it has succeeded."
+    )
 
     @classmethod
     def of(cls, record: records.FitRecord) -> Self:
         """Return the wire form of a record."""
+        found = [Finding.model_validate(each) for each in record.findings or []]
         return cls.model_validate(
             {
                 "id": record.id,
@@ -194,7 +201,8 @@ class Fit(BaseModel):
                 "finished_at": record.finished_at,
                 "model_id": record.model_id,
                 "error": record.error,
-                "findings": record.findings or [],
+                "findings": found,
+                "verdict": verdict_of(found) if record.status == "succeeded" else None,
                 **labels_of(record),
             }
         )

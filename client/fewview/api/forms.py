@@ -142,13 +142,27 @@ class FitProgress:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What may be relied on of a fit, by the finding of that ``code``; None if it is good."""
+
+    level: str  # good, caution or serious
+    code: str | None
+    reliable: str
+    remedy: str  # what would help most
+
+
+@dataclass(frozen=True)
 class Fit(Job):
-    """A job that turns a dataset into a model; ``model_id`` is there when it has succeeded."""
+    """A job that turns a dataset into a model.
+
+    ``model_id`` and ``verdict`` are there when it has succeeded.
+    """
 
     config: dict[str, Any] | None = None
     from_model: str | None = None
     progress: FitProgress | None = None
     model_id: str | None = None
+    verdict: Verdict | None = None
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,8 @@ def in_words(result: dict[str, Any]) -> str:
         f"frames     {result['frames']}, {result['in_room']} of them in one room",
         f"error      {result['reprojection_error']:.2f} px from the keypoints, mean",
     ]
+    if result.get("verdict"):
+        lines.append(f"{result['verdict']['level']:<10} {result['verdict']['reliable']}")
     for finding in result["findings"]:
         lines.append(
             f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"

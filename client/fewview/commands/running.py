@@ -148,7 +148,7 @@ def export(
     -------
     dict
         The JSON output: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
-        ``reprojection_error`` (pixels, mean), ``findings`` and ``notes``.
+        ``reprojection_error`` (pixels, mean), ``verdict``, ``findings`` and ``notes``.
     """
     assert fit.model_id is not None  # noqa: S101 (it has succeeded)
     lift = client.fits.reconstruction(fit)
@@ -179,6 +179,7 @@ def export(
         "frames": len(lift),
         "in_room": 0 if room is None else len(lift) - room.missing,
         "reprojection_error": float(np.nanmean(lift.reprojection_errors)),
+        "verdict": fit.verdict and asdict(fit.verdict),
         "findings": [
             asdict(finding) | {"cameras": _called(finding.views, capture)}
             for finding in fit.findings

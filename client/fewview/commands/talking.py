@@ -134,6 +134,9 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def findings_in(result: Mapping[str, Any]) -> Iterator[str]:
-    """Give a line for each thing that was noticed."""
+    """Give a line for each thing that was noticed, after one on what may be relied on."""
+    verdict = result.get("verdict")
+    if verdict:
+        yield f"{verdict['level']}: {verdict['reliable']}"
     for finding in result.get("findings", ()):
         yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"
