@@ -92,7 +92,7 @@ export function rateOf({ fps, times }: Capture): { rate: number; known: boolean 
 
 /** Returns when frames were captured: (N,) seconds; null if neither times nor fps are known. */
 export function secondsOf({ frames, fps, times }: Capture): Float64Array | null {
-  if (times !== null) return times.subarray(0, frames);
+  if (times !== null) return Float64Array.from(times.subarray(0, frames));
   return fps === null ? null : Float64Array.from({ length: frames }, (_, frame) => frame / fps);
 }
 

@@ -6,6 +6,8 @@ import { FindingList } from "../parts/finding_list.tsx";
 import { percent } from "../parts/format.ts";
 import { drawKeypoints, type Drawn } from "./preview.ts";
 
+const MOST_MISSING = 0.9; // share of a view's keypoints beyond which that is no good news
+
 /** @param frame what is drawn; null while it is not there yet */
 export function Understood({ facts, frame }: { facts: Dataset | DatasetPreview; frame: Drawn | null }) {
   const holder = useRef<HTMLDivElement>(null);
@@ -34,6 +36,7 @@ export function Understood({ facts, frame }: { facts: Dataset | DatasetPreview; 
       </div>
       <FindingList
         findings={facts.findings}
+        calm={facts.notes.length === 0 && facts.missing_fraction.every((missing) => missing < MOST_MISSING)}
         viewNames={facts.view_names ?? undefined}
         keypointNames={facts.skeleton?.keypoint_names ?? undefined}
       />

@@ -2,7 +2,15 @@
 
 import type { Fit } from "../api/resources.ts";
 
+const DOUBTS = { good: "", caution: ", with limits", serious: ", with serious doubts" };
+
 export function Status({ fit }: { fit: Fit }) {
   const word = fit.cancel_requested && fit.status === "running" ? "being cancelled" : fit.status;
-  return <span class={`status ${fit.status}`}>{word}</span>;
+  const level = fit.verdict?.level ?? "good";
+  return (
+    <span class={`status ${fit.status} ${level}`} title={fit.verdict?.reliable}>
+      {word}
+      {DOUBTS[level]}
+    </span>
+  );
 }

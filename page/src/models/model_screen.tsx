@@ -59,7 +59,7 @@ export function ModelScreen({ id }: { id: string }) {
       )}
       <section class="panel">
         <h2>What was noticed</h2>
-        <FindingList findings={model.findings} keypointNames={model.skeleton?.keypoint_names ?? undefined} />
+        <FindingList calm findings={model.findings} keypointNames={model.skeleton?.keypoint_names ?? undefined} />
       </section>
       <section class="panel">
         <h2>Take it away</h2>

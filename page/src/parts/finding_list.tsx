@@ -15,9 +15,12 @@ interface Known {
 
 const MOST = 12; // of a list before it is cut
 
-export function FindingList({ findings, ...known }: { findings: Finding[] } & Known) {
+/** @param calm whether nothing else that is shown gives cause for doubt: only then is it good news that
+ * nothing was noticed */
+export function FindingList({ findings, calm = false, ...known }: { findings: Finding[]; calm?: boolean } & Known) {
   const remedy = useContext(RemedySlot);
   if (findings.length === 0) {
+    if (!calm) return null;
     return (
       <p class="quiet">
         <Icon name="check" /> Nothing was noticed that you should know of.
@@ -81,7 +84,7 @@ function Chip({ children, onClick }: { children: preact.ComponentChildren; onCli
 }
 
 /** Shows as code what the words have between backticks. */
-function withCode(text: string) {
+export function withCode(text: string) {
   return text.split("`").map((part, index) => (index % 2 === 1 ? <code key={index}>{part}</code> : part));
 }
 

@@ -61,13 +61,15 @@ export function Figures() {
 }
 
 function CameraTable() {
-  const { cameras, take, lookThrough, posed } = useShow();
+  const { cameras, take, lookThrough, posed, findings } = useShow();
+  const notEverywhere = findings.some(({ code }) => code === "rig_not_used");
   if (cameras.views.length === 0) return <p class="quiet">{cameras.reason}</p>;
   return (
     <>
       <table>
         <caption class="quiet">
           Cameras: {cameras.arrangement}. {cameras.reason}
+          {notEverywhere && ". In some frames they do not fit, and are not used: see what was noticed"}
         </caption>
         <thead>
           <tr>

@@ -5,6 +5,7 @@ import { useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import type { Result } from "../data/loading.ts";
 import { FindingList } from "../parts/finding_list.tsx";
+import { Verdict } from "../parts/verdict.tsx";
 import { Closer } from "./closer/closer.tsx";
 import { CopyLink, Shortcuts, WorstFrames } from "./asides.tsx";
 import type { Crop } from "./crop.ts";
@@ -51,6 +52,7 @@ export function Workspace({ fit, result, onSkeleton }: { fit: Fit; result: Resul
           <div class="stack">
             <section class="panel">
               <h2>What was noticed</h2>
+              <Verdict verdict={fit.verdict} framesDoubted={findings.length > fit.findings.length} />
               <WorstFrames />
               <Remediable subject={subject}>
                 <FindingList

@@ -1,19 +1,21 @@
 /** What is measured of points (N, P, 3) over all frames; NaN where there is no answer. */
 
+import type { Numbers } from "./numbers.ts";
+
 const DEGREES = 180 / Math.PI;
 
 /** Returns coordinate `axis` (0 x, 1 y, 2 z) of a keypoint: (N,). */
-export function coordinates(points: Float32Array, keypoints: number, keypoint: number, axis: number): Float64Array {
+export function coordinates(points: Numbers, keypoints: number, keypoint: number, axis: number): Float64Array {
   return perFrame(points, keypoints, (first) => points[first + 3 * keypoint + axis]!);
 }
 
 /** Returns the distance of two keypoints: (N,). */
-export function lengths(points: Float32Array, keypoints: number, a: number, b: number): Float64Array {
+export function lengths(points: Numbers, keypoints: number, a: number, b: number): Float64Array {
   return perFrame(points, keypoints, (first) => distance(points, first + 3 * a, first + 3 * b));
 }
 
 /** Returns the angle at `b` between `a` and `c`: (N,) degrees, 0 to 180. */
-export function angles(points: Float32Array, keypoints: number, a: number, b: number, c: number): Float64Array {
+export function angles(points: Numbers, keypoints: number, a: number, b: number, c: number): Float64Array {
   return perFrame(points, keypoints, (first) => angle(points, first + 3 * a, first + 3 * b, first + 3 * c));
 }
 
@@ -23,7 +25,7 @@ export function angles(points: Float32Array, keypoints: number, a: number, b: nu
  *
  * @param times (N,) of the frames, in seconds; null counts in frames */
 export function speeds(
-  points: Float32Array,
+  points: Numbers,
   keypoints: number,
   keypoint: number,
   times: ArrayLike<number> | null,
@@ -45,20 +47,16 @@ export function speeds(
   });
 }
 
-function perFrame(
-  points: Float32Array,
-  keypoints: number,
-  measure: (first: number, frame: number) => number,
-): Float64Array {
+function perFrame(points: Numbers, keypoints: number, measure: (first: number, frame: number) => number): Float64Array {
   const size = 3 * keypoints;
   return Float64Array.from({ length: points.length / size }, (_, frame) => measure(frame * size, frame));
 }
 
-function distance(points: Float32Array, a: number, b: number): number {
+function distance(points: Numbers, a: number, b: number): number {
   return Math.hypot(points[a]! - points[b]!, points[a + 1]! - points[b + 1]!, points[a + 2]! - points[b + 2]!);
 }
 
-function angle(points: Float32Array, a: number, b: number, c: number): number {
+function angle(points: Numbers, a: number, b: number, c: number): number {
   let product = 0;
   for (let axis = 0; axis < 3; axis++) {
     product += (points[a + axis]! - points[b + axis]!) * (points[c + axis]! - points[b + axis]!);

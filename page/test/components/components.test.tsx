@@ -5,8 +5,12 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import type { Dataset, Finding, Fit } from "../../src/api/resources.ts";
 import { ConfigForm } from "../../src/datasets/config_form.tsx";
+import { Understood } from "../../src/datasets/understood.tsx";
+import { Failure } from "../../src/fits/failure.tsx";
 import { Progress } from "../../src/fits/progress.tsx";
+import { Status } from "../../src/fits/status.tsx";
 import { FindingList } from "../../src/parts/finding_list.tsx";
+import { Verdict } from "../../src/parts/verdict.tsx";
 import { cellText, HeatKey } from "../../src/result/heat_map.tsx";
 import { Legend } from "../../src/result/legend.tsx";
 import { ShowContext, type Show } from "../../src/result/show.ts";
@@ -101,4 +105,35 @@ test("a legend offers what views show; a cell of the heat map has its meaning in
   page.getByText(/0.*4 px.*outlier, left out.*not observed/s);
   const words = [0, 1].flatMap((frame) => [0, 1].map((keypoint) => cellText(show, { frame, keypoint })));
   assert.match(words.join("; "), /hip, frame 0: 1.5 px; knee, frame 0: not observed.*hip, frame 1: outlier.*4 px/);
+});
+
+const judged = (verdict: Partial<NonNullable<Fit["verdict"]>> | null): Fit =>
+  ({ status: verdict === null ? "failed" : "succeeded", findings: [], verdict }) as unknown as Fit;
+
+test("a fit with serious findings is not simply succeeded, and no two sentences contradict each other", async () => {
+  const serious = {
+    level: "serious",
+    code: "one_view",
+    reliable: "Rely on what the view shows.",
+    remedy: "Add a view.",
+  };
+  const doubted = await rendered(<Status fit={judged(serious as NonNullable<Fit["verdict"]>)} />);
+  assert.equal(doubted.getByText("succeeded, with serious doubts").className, "status succeeded serious");
+  const good = { level: "good", code: null, reliable: "Nothing was noticed.", remedy: "" } as const;
+  (await rendered(<Status fit={judged(good)} />)).getByText("succeeded");
+  const frames = await rendered(<Verdict verdict={good} framesDoubted />);
+  assert.equal(frames.queryByText(/Nothing was noticed/), null);
+  const failed = await rendered(<Failure fit={{ ...judged(null), error: { code: "timed_out", message: "Late." } }} />);
+  assert.equal(failed.queryByText(/Nothing was noticed/), null);
+});
+
+const facts = (notes: string[], missing: number) =>
+  ({ notes, missing_fraction: [0, missing], findings: [], view_names: null, skeleton: null }) as unknown as Dataset;
+
+test("that nothing was noticed is good news only where nothing else gives cause for doubt", async () => {
+  const calm = async (shown: Dataset) =>
+    (await rendered(<Understood facts={shown} frame={null} />)).queryByText(/Nothing was noticed/) !== null;
+  assert.equal(await calm(facts([], 0.2)), true);
+  assert.equal(await calm(facts(["that all cameras show the same person is not sure"], 0.2)), false);
+  assert.equal(await calm(facts([], 1)), false);
 });

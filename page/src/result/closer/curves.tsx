@@ -46,6 +46,7 @@ export function CurvePanel() {
 
 function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }) {
   const { fit, take, player, loop, version, done } = useShow();
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const values = useMemo(() => curves.series.map((series) => series.values()), [curves, version]);
   const frames = useMemo(() => Float64Array.from({ length: take.frames }, (_, frame) => frame), [take]);
   const x = times ?? frames;
