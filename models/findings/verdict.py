@@ -36,8 +36,8 @@ class Verdict(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     level: Level = Field(
-        description="`good`: no finding limits the result. `caution`: it is less certain in places. "
-        "`serious`: it is not what it seems to be."
+        description="`good`: no finding limits the result. `caution`: it is less certain in"
+        " places. `serious`: it is not what it seems to be."
     )
     code: FindingCode | None = Field(description="The finding that decides; null if it is good.")
     reliable: str = Field(description="What may be relied on, in a sentence.")

@@ -51,37 +51,41 @@ def can_afford_refresh(clock: Clock, budget_s: float) -> bool:
 
 
 def seconds_left(
-    schedule: Schedule,
+    steps_left: int,
     step: int,
     clock: Clock,
-    *,
-    refreshes_done: int,
+    budget_s: float,
+    refreshes: int,
     cameras_sought: bool,
     result_seconds: float | None,
 ) -> float | None:
-    """Predict how long the remaining part takes, at the present pace.
+    """Predict how long the remaining part takes, at the present pace and within the budget.
 
     None while there is no pace: the search for cameras before the first step shows none, nor do the
     first steps. What has not been measured counts as the share of the time that is assumed for it.
+
+    Parameters
+    ----------
+    refreshes
+        How many are not done; where `cameras_sought`, the first of them estimates the cameras.
     """
-    if step >= schedule.steps:
+    if steps_left <= 0:
         return 0.0
     if step <= WARM_UP_STEPS:
         return None
-    refreshes = max(len(schedule.refreshes) - refreshes_done, 0)
-    measured, assumed = (schedule.steps - step) * clock.step_seconds, 0.0
+    measured, assumed = steps_left * clock.step_seconds, 0.0
     if result_seconds is None:
         assumed += RESULT_SHARE
     else:
         measured += result_seconds
-    if cameras_sought and refreshes:
+    if cameras_sought and refreshes > 0:
         assumed += CALIBRATION_SHARE
         refreshes -= 1
     if clock.refresh_seconds is None:
-        assumed += REFRESH_SHARE * refreshes
+        assumed += REFRESH_SHARE * max(refreshes, 0)
     else:
-        measured += refreshes * clock.refresh_seconds
-    return measured / (1 - assumed)
+        measured += max(refreshes, 0) * clock.refresh_seconds
+    return max(min(measured / (1 - assumed), budget_s - clock.seconds), 0.0)
 
 
 def plan_within_budget(

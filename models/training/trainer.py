@@ -350,19 +350,11 @@ class Trainer:
 
     def _progress(self, stage: Stage) -> Progress:
         state, steps = self._state, self._state.schedule.steps
-        left = seconds_left(
-            state.schedule,
-            state.step,
-            state.clock,
-            refreshes_done=state.refreshes_done,
-            cameras_sought=state.teaching.cameras == "sought",
-            result_seconds=state.teaching.result_seconds,
-        )
-        if self.config.budget_s is not None and left is not None:
-            left = max(min(left, self.config.budget_s - state.clock.seconds), 0.0)
-        return Progress(
-            state.step, steps, state.loss, state.reprojection_error, left, stage, self.stopped_by
-        )
+        refreshes = len(state.schedule.refreshes) - state.refreshes_done
+        ahead = (refreshes, state.teaching.cameras == "sought", state.teaching.result_seconds)
+        left = seconds_left(steps - state.step, state.step, state.clock, self._budget, *ahead)
+        known = (state.loss, state.reprojection_error, left, stage, self.stopped_by)
+        return Progress(state.step, steps, *known)
 
 
 def fit(

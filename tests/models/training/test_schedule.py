@@ -1,6 +1,7 @@
 """Fits that are short of time, learn nothing more, or start from a model."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -225,12 +226,10 @@ def test_fits_run_on_the_cpu_by_default(capture: SyntheticCapture) -> None:
 
 
 def test_the_search_before_the_first_step_is_no_pace() -> None:
-    schedule = Schedule.of(FitConfig(steps=4000))
     clock = Clock(seconds=13.0)  # of a search for cameras, and then steps of 8 ms
-    known = {"refreshes_done": 1, "cameras_sought": False, "result_seconds": None}
     left = []
     for step in range(4001):
-        left.append(seconds_left(schedule, step, clock, **known))  # type: ignore[arg-type]
+        left.append(seconds_left(4000 - step, step, clock, math.inf, 3, False, None))
         clock.step_seconds = 0.008
     assert left[: WARM_UP_STEPS + 1] == [None] * (WARM_UP_STEPS + 1)
     assert all(32 * (1 - step / 4000) <= (left[step] or 0) < 60 for step in range(6, 4000))
@@ -238,15 +237,9 @@ def test_the_search_before_the_first_step_is_no_pace() -> None:
 
 
 def test_what_is_measured_replaces_what_is_assumed_of_the_time_left() -> None:
-    schedule = Schedule.of(FitConfig(steps=4000))
     clock = Clock(step_seconds=0.01, refresh_seconds=2.0)
-    refreshes = len(schedule.refreshes)
-    measured = seconds_left(
-        schedule, 2000, clock, refreshes_done=1, cameras_sought=False, result_seconds=3.0
-    )
-    assert measured == pytest.approx(20 + 2 * (refreshes - 1) + 3)
-    sought = seconds_left(
-        schedule, 1000, clock, refreshes_done=0, cameras_sought=True, result_seconds=3.0
-    )
+    assert seconds_left(2000, 2000, clock, math.inf, 4, False, 3.0) == pytest.approx(20 + 8 + 3)
+    sought = seconds_left(2000, 2000, clock, math.inf, 4, True, 3.0)
     assert sought is not None
-    assert sought > 30 + 2 * (refreshes - 1) + 3  # the search takes time, too
+    assert sought > 20 + 6 + 3  # the search takes time, too
+    assert seconds_left(2000, 2000, clock, 5.0, 4, True, 3.0) == 5.0  # a budget is kept
