@@ -28,6 +28,7 @@ export function Comparison() {
   useEffect(() => {
     document.title = "Fits compared · Fewview";
     sidesOf(ids).then(setSides, (error: Error) => setTrouble(error.message));
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the identifiers, joined, are what it depends on
   }, [ids.join()]);
   if (sides === null) return <Waiting trouble={trouble} />;
   const settings = compared(sides.map(({ fit }) => fit.config));

@@ -24,6 +24,7 @@ export function FitsScreen() {
   useEffect(() => {
     const stops = going.map((id) => followFit(id, fits.put, (error) => setBroken(error?.message ?? null)));
     return () => stops.forEach((stop) => stop());
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the identifiers, joined, are what it depends on
   }, [going.join()]);
 
   const settings = unusualSettings(fits.items ?? []);
@@ -104,6 +105,7 @@ function useBeside(fits: Fit[]) {
       },
       (error: Error) => setTrouble(error.message),
     );
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the identifiers, joined, are what it depends on
   }, [sets.join()]);
   useEffect(() => {
     if (models.length === 0) return;
@@ -115,6 +117,7 @@ function useBeside(fits: Fit[]) {
         ),
       (error: Error) => setTrouble(error.message),
     );
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the identifiers, joined, are what it depends on
   }, [models.join()]);
   return { datasets, errors, trouble };
 }
@@ -193,7 +196,7 @@ function CancelButton({ fit, onFit }: { fit: Fit; onFit: (fit: Fit) => void }) {
       disabled={fit.cancel_requested}
       title={trouble}
       aria-label={`Cancel ${fit.name}`}
-      onClick={() => cancelFit(fit.id).then(onFit, (error: Error) => setTrouble(error.message))}
+      onClick={() => void cancelFit(fit.id).then(onFit, (error: Error) => setTrouble(error.message))}
     >
       {trouble === undefined ? "Cancel" : "Cannot be cancelled"}
     </button>

@@ -52,6 +52,7 @@ function same(one: unknown, other: unknown): boolean {
 function shortly(value: unknown): string {
   if (value === null || value === undefined) return "–";
   if (typeof value === "boolean") return value ? "yes" : "no";
+  // eslint-disable-next-line @typescript-eslint/no-base-to-string -- objects are written below
   if (typeof value !== "object") return String(value);
   const text = JSON.stringify(value);
   return text.length > 40 ? "given" : text;

@@ -20,6 +20,7 @@ export function useConsequences(kind: Kind, ids: string[]): string {
     return () => {
       current = false;
     };
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the identifiers, joined, are what it depends on
   }, [kind, ids.join()]);
   return known ?? GENERAL[kind];
 }

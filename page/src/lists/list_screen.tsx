@@ -34,7 +34,7 @@ export function ListScreen<T extends Listed>(props: Props<T>) {
   const { items, wanted, want } = list;
   useEffect(() => {
     document.title = `${title} · Fewview`;
-  }, []);
+  }, [title]);
   const chosen = (items ?? []).filter(({ id }) => ids.has(id));
   const anything = wanted.search !== "" || wanted.tag !== "" || wanted.status !== "";
   return (

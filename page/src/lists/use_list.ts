@@ -50,6 +50,7 @@ export function useList<T extends { id: string }>(list: Lister<T>): List<T> {
   };
   useEffect(() => {
     void load();
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- what is wanted decides, not the function that asks
   }, [search.trim(), tag, status, whole]);
 
   const latest = useRef(wanted); // a search that was typed is asked for later, when more may be wanted

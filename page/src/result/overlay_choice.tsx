@@ -27,7 +27,7 @@ export function OverlayChoice() {
       (page) => setOthers(page.items.filter((other) => other.id !== fit.id && other.model_id)),
       () => setOthers([]),
     );
-  }, [fit.id]);
+  }, [fit.id, fit.dataset_id]);
   if (others.length === 0 && !take.hasTruth) return null;
 
   const lay = async (choice: string) => {

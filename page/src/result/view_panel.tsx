@@ -16,6 +16,7 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const drawing = useMemo(() => createViewDrawing(take, view), [take, view]);
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the part follows what is detected, which comes by and by
   const partOf = useMemo(() => partsOf(take, view, crop), [take, view, crop, done]);
   const [film, setFilm] = useState<Film | null>(null);
   const [offset, setOffset] = useState(0); // of the film, in frames of the capture
@@ -30,7 +31,7 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [drawing, partOf, theme, selected, loop, film, offset]);
+  }, [drawing, partOf, theme, selected, loop, player, take, view, film, offset]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
