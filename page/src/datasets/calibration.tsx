@@ -20,6 +20,7 @@ export function CalibrationChoice({ dataset, onChange }: { dataset: Dataset; onC
   useEffect(() => {
     if (chosen !== null) onChange({ fields: {}, config: { calibration: chosen.cameras } });
     else onChange(used && own !== null ? { fields: { calibration: "dataset" }, config: {} } : NOTHING_GIVEN);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- whoever listens is another function each time
   }, [used, chosen, own]);
   const choose = async (files: File[]) => {
     setTrouble(null);

@@ -30,7 +30,7 @@ async function pack(files: Placed[]): Promise<Blob> {
   let failed: Error | null = null;
   const zip = new Zip((error, piece) => {
     if (error) failed = error;
-    else pieces.push(piece as Uint8Array<ArrayBuffer>);
+    else pieces.push(piece);
   });
   for (let start = 0; start < files.length; start += AT_A_TIME) {
     const some = files.slice(start, start + AT_A_TIME);

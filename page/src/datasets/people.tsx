@@ -35,7 +35,7 @@ export function People({ people, names, onChoose }: PeopleProps) {
               aria-label={`${one.name || `person ${place + 1}`}, ${names[at] ?? `view ${at}`}`}
               onClick={() => choose(at, one)}
             >
-              <Thumbnail person={one} edges={view.edges as [number, number][]} />
+              <Thumbnail person={one} edges={view.edges} />
               <span class="quiet">
                 {one.name} {count(one.frames, "frame")}
               </span>
@@ -59,6 +59,7 @@ function Thumbnail({ person, edges }: { person: Person; edges: [number, number][
     if (canvas.current === null) return;
     const pixels = Float32Array.from(person.keypoints.flatMap((point) => point ?? [NaN, NaN]));
     drawKeypoints(canvas.current, { views: [pixels], edges, sides: [] }, 0);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- edges come anew with each answer, and are the same
   }, [person]);
   return <canvas ref={canvas} role="img" aria-hidden="true" />;
 }
