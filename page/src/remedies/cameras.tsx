@@ -84,6 +84,7 @@ export function LensControl() {
 function cameraWith(camera: Camera | null, fx: number): Camera | null {
   if (!(fx > 0)) return null;
   if (camera?.intrinsics?.fx === fx) return camera;
-  const { fy: _, ...intrinsics } = camera?.intrinsics ?? { fx };
-  return { ...camera, intrinsics: { ...intrinsics, fx } } as Camera;
+  const intrinsics = { ...camera?.intrinsics, fx };
+  delete intrinsics.fy; // it was the other's
+  return { ...camera, intrinsics };
 }

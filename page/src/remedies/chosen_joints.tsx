@@ -31,6 +31,7 @@ export function ChosenJoints({ labels, before, onChange }: Props) {
     if (selected === seen) return;
     setSeen(selected);
     if (selected !== null && !chosen.includes(selected)) click(selected);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- each click counts once, whatever was chosen since
   }, [selected]);
   return (
     <>

@@ -123,8 +123,8 @@ function fullest({ views }: Drawn): number {
 /** Returns where each keypoint of (P, 2) pixels is in the picture; null where it was not observed. */
 function placesIn(pixels: Float32Array): ([number, number] | null)[] {
   const points = Array.from({ length: pixels.length / 2 }, (_, keypoint): [number, number] => [
-    pixels[2 * keypoint]!,
-    pixels[2 * keypoint + 1]!,
+    pixels[2 * keypoint] ?? NaN,
+    pixels[2 * keypoint + 1] ?? NaN,
   ]);
   const seen = points.filter(([x, y]) => Number.isFinite(x + y));
   const [xs, ys] = [seen.map(([x]) => x), seen.map(([, y]) => y)];

@@ -39,8 +39,8 @@ const CORNERS = ["First", "Clockwise next", "Clockwise last", "In front, nearer 
 /** Returns keypoints a, b, c, d of positive volume, which `handedness` asks for. Of three that go round
  * clockwise for who looks at them, the cross product (b - a) x (c - a) points away from the viewer, in
  * a right-handed frame. With the first two exchanged it points to the viewer, where the fourth is. */
-export function handednessOf([first, second, third, front]: number[]): number[] {
-  return [second!, first!, third!, front!];
+export function handednessOf([first, second, ...others]: readonly number[]): number[] {
+  return [second, first, ...others].filter((each) => each !== undefined);
 }
 
 export function HandednessControl() {

@@ -45,6 +45,7 @@ export function SkeletonEditor({ onDone }: { onDone: (dataset: Dataset) => void 
       setTag(now.tag);
       setSteps([draftOf(skeleton?.keypoint_names, (skeleton?.edges ?? []) as [number, number][], keypoints)]);
     });
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- read once for each dataset
   }, [dataset.id]);
 
   const draft = steps.at(-1);

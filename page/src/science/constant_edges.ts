@@ -1,13 +1,14 @@
 /** Edges of a skeleton that nobody gave: pairs of keypoints whose distance stays the same. */
 
+import type { Numbers } from "./numbers.ts";
 import { quantile } from "./worst.ts";
 
 /** The structures of a capture, and which of its frames are there. */
 interface Structures {
   frames: number;
   keypoints: number;
-  points: Float32Array; // (N, P, 3), NaN where there is no answer
-  there?: Uint8Array; // (N,), 0 where nothing is known yet
+  points: Numbers; // (N, P, 3), NaN where there is no answer
+  there?: Numbers; // (N,), 0 where nothing is known yet
 }
 
 export interface FoundEdge {
@@ -108,6 +109,6 @@ function measured({ frames, keypoints, points, there }: Structures): Pair[] {
   return pairs;
 }
 
-function distance(points: Float32Array, a: number, b: number): number {
+function distance(points: Numbers, a: number, b: number): number {
   return Math.hypot(points[a]! - points[b]!, points[a + 1]! - points[b + 1]!, points[a + 2]! - points[b + 2]!);
 }

@@ -1,9 +1,11 @@
 /** On which side of three keypoints a fourth one lies. */
 
+import type { Numbers } from "./numbers.ts";
+
 interface Structures {
   frames: number;
   keypoints: number;
-  points: Float32Array; // (N, P, 3)
+  points: Numbers; // (N, P, 3)
 }
 
 /** Returns the share of frames in which (b - a) x (c - a) . (d - a) is positive; NaN if none has all
