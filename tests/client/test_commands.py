@@ -192,8 +192,13 @@ def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_pa
             wrong = fewview("datasets", command, "--after", moment, url)
             assert refused(wrong, 2).startswith("fewview: --after: expected a date or a moment")
     assert "pilot" in fewview("datasets", "list", url).stdout
-    changed = fewview("datasets", "change", made[0], "--tag=kept", "--metadata=day=3", url)
+    facts = ("--set=fps=25", '--set={"view_names": ["a", "b", "c"]}')
+    change = ("datasets", "change", made[0], "--tag=kept", "--metadata=day=3", *facts, url)
+    changed = fewview(*change)
     assert changed.returncode == 0, changed.stderr
+    known = served.client.datasets.get(made[0]).raw
+    assert (known["fps"], known["view_names"]) == (25, ["a", "b", "c"])
+    assert "--set" in refused(fewview(*change, "--set=fps"), 2)
     assert listed("--tag=kept", "--metadata=day=3") == [made[0]]
 
     fit = said(fewview("fit", made[1], "--tag=pilot", "-c", "steps=100000", "--json", url))

@@ -93,6 +93,12 @@ def _status_of(kind: str) -> Any:
     return Annotated[str | None, typer.Option(help=listed, hidden=kind not in JOBS)]
 
 
+def _facts_of(kind: str) -> Any:
+    """Return the option that gives what is known of a dataset; nothing else has any."""
+    known = "What is known of it: fps=50, view_names, image_sizes or skeleton as JSON; may repeat."
+    return Annotated[list[str] | None, typer.Option("--set", help=known, hidden=kind != "datasets")]
+
+
 def _add_list(app: typer.Typer, kind: str) -> None:
     @app.command("list", help=f"List {kind}, newest first.")
     def list_stored(
@@ -124,19 +130,21 @@ def _add_commands_on_one(app: typer.Typer, kind: str) -> None:
             listed = _part(client, kind).get(identifier).raw
             say(listed, json.dumps(listed, indent=2), as_json=as_json)
 
-    @app.command(help=f"Change the labels of a {one}; those that are not named stay as they are.")
+    @app.command(help=f"Change what is known of a {one}; what is not named stays as it is.")
     def change(
         identifier: Identifier,
         *,
         name: Annotated[str | None, typer.Option(help="Its new name.")] = None,
         tag: Tags = None,
         metadata: Metadata = None,
+        facts: _facts_of(kind) = None,  # type: ignore[valid-type]
         url: Url = None,
         as_json: AsJson = False,
     ) -> None:
         with talking(url) as client:
             fields = fields_in(metadata, "--metadata") if metadata else None
-            changes = {"name": name, "tags": tag or None, "metadata": fields}
+            labels = {"name": name, "tags": tag or None, "metadata": fields}
+            changes = fields_in(facts, "--set") | labels
             listed = _part(client, kind).update(identifier, **changes).raw
             say(listed, f"changed {identifier}", as_json=as_json)
 
