@@ -32,8 +32,8 @@ def unbounded(document: dict[str, Any]) -> Iterator[str]:
                 seen.add(name)
                 yield from walk(document["components"]["schemas"][name], name)
             return
-        for kind in ("anyOf", "oneOf", "allOf", "prefixItems"):
-            for part in schema.get(kind, []):
+        for several in ("anyOf", "oneOf", "allOf", "prefixItems"):
+            for part in schema.get(several, []):
                 yield from walk(part, where)
         kind = schema.get("type")
         free = schema.get("additionalProperties") not in (None, False) or not schema.get(
