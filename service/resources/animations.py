@@ -14,7 +14,13 @@ from service.http.negotiation import OCTETS
 from service.http.operations import file_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
 from service.resources.fits import FitDep
-from service.resources.reconstructions import model_of, stored_arrays
+from service.resources.reconstructions import (
+    FramesQuery,
+    frames_of,
+    model_of,
+    stored_arrays,
+    stored_frames,
+)
 from service.wire.animations import AnimationFormat, LengthUnit, animation_file
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.skeletons import Skeleton
@@ -56,6 +62,7 @@ def download_animation(
     ],
     frame: FrameQuery = None,
     up: UpQuery = None,
+    frames: FramesQuery = None,
     unit: Annotated[
         LengthUnit | None,
         Query(
@@ -64,26 +71,27 @@ def download_animation(
         ),
     ] = None,
 ) -> Response:
-    """Download the structures of every fitted frame as an animation.
+    """Download the structures of every fitted frame, or of some `frames`, as an animation.
 
     Tools expect y up, as with `frame=room&up=auto`. Keypoints have the names of the model's
     skeleton. Times are those of the dataset, or else 30 frames/s.
     """
     model = lookup.get(store, records.ModelRecord, model_of(fit))
-    if fit.frames * model.keypoints > MOST_POINTS:
+    wanted = range(fit.frames) if frames is None else frames_of(fit, frames)
+    if len(wanted) * model.keypoints > MOST_POINTS:
         raise invalid(
-            "/format",
-            f"expected {MOST_POINTS} points at most, frames times keypoints; this fit has "
-            f"{fit.frames} x {model.keypoints}: write it in parts, of its reconstruction, with "
-            "the client",
+            "/frames",
+            f"expected {MOST_POINTS} points at most, frames times keypoints, got "
+            f"{len(wanted)} x {model.keypoints}: ask for a part, such as "
+            f"frames=0:{MOST_POINTS // model.keypoints}",
         )
-    found = stored_arrays(fit, store)
+    found = stored_arrays(fit, store) if frames is None else stored_frames(store, fit, None, frames)
     direction = read_up(up)
     if is_room(frame, direction):
         warm = engine.models.read(store.project, model.id)
         found = rooms.find(warm, direction).place_arrays(found)
     skeleton = Skeleton.model_validate(model.skeleton or {})
-    fps, times = _moments(fit, store)
+    fps, times = _moments(fit, store, wanted)
     file = animation_file(
         found["points3d"], skeleton, format=format, unit=unit, fps=fps, times=times
     )
@@ -92,16 +100,20 @@ def download_animation(
 
 
 def _moments(
-    fit: records.FitRecord, store: Store
+    fit: records.FitRecord, store: Store, wanted: range
 ) -> tuple[float | None, np.ndarray[tuple[int], np.dtype[np.float64]] | None]:
-    """Return frames per second and times (N,) in seconds, None where the dataset has none."""
+    """Return frames per second and times (N,) in seconds of N frames that are wanted.
+
+    None where the dataset has none.
+    """
     try:
         dataset = lookup.get(store, records.DatasetRecord, fit.dataset_id)
+        fps = None if dataset.fps is None else dataset.fps / wanted.step
         if dataset.last_times is None:
-            return dataset.fps, None
+            return fps, None
         times = datasets.load(store, fit.dataset_id, frames=fit.frames).times
     except NotFoundError:  # it was deleted since
         return None, None
     if times is not None and times.ndim == 2:
         times = np.nanmedian(times, axis=1)
-    return dataset.fps, times
+    return fps, None if times is None else times[wanted.start : wanted.stop : wanted.step]

@@ -151,7 +151,7 @@ def get_reconstruction(
         rooms.find(engine.models.read(store.project, model_of(fit)), direction) if in_room else None
     )
     if frames is not None:
-        found = _frames(store, fit, refine, frames)
+        found = stored_frames(store, fit, refine, frames)
     elif _is_stored(fit, refine):
         if chosen == "json":
             identity = (
@@ -195,7 +195,9 @@ def frames_of(fit: records.FitRecord, frames: str) -> range:
     return range(fit.frames)[slice(*(int(part) if part else None for part in frames.split(":")))]
 
 
-def _frames(store: StoreDep, fit: records.FitRecord, refine: Refine | None, frames: str) -> Arrays:
+def stored_frames(
+    store: StoreDep, fit: records.FitRecord, refine: Refine | None, frames: str
+) -> Arrays:
     """Return some frames of what a fit stored.
 
     Raises

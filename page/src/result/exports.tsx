@@ -26,8 +26,8 @@ export function Exports({ stage }: { stage: Stage | null }) {
   const { slice, part } = sliceOf(range, take.frames);
   const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
-    const query = `format=${format}${room}${unit === "" ? "" : `&unit=${unit}`}`;
-    return [label, `fits/${fit.id}/animation?${query}`, `${fit.id}${suffix}`];
+    const query = `format=${format}${room}${slice}${unit === "" ? "" : `&unit=${unit}`}`;
+    return [label, `fits/${fit.id}/animation?${query}`, `${fit.id}${part}${suffix}`];
   });
   return (
     <>

@@ -61,6 +61,17 @@ def test_trc_has_points_names_times_and_the_unit(
     assert np.isnan(points[:, 15]).all()
 
 
+def test_some_frames_are_written_with_their_times(
+    live: Live, fit: dict[str, Any], points: NDArray[np.float64]
+) -> None:
+    part = downloaded(live, fit, "format=trc&unit=m&frames=10:20:2").decode().split("\n")
+    rows = np.array([[float(text) for text in line.split("\t")] for line in part[6:] if line])
+    np.testing.assert_allclose(rows[:, 1], TIMES[10:20:2], atol=1e-6)
+    np.testing.assert_allclose(rows[:, 2:].reshape(5, 16, 3), points[10:20:2], atol=1e-5)
+    none = live.http.get(f"/fits/{fit['id']}/animation?format=csv&frames=40:")
+    problem(none, 422, "invalid_input", "/frames")
+
+
 def test_c3d_glb_bvh_and_csv_are_files_of_their_kind(
     live: Live, fit: dict[str, Any], points: NDArray[np.float64], tmp_path: Path
 ) -> None:
@@ -92,7 +103,7 @@ def test_what_cannot_be_written_says_why(live: Live, fit: dict[str, Any]) -> Non
 
 def test_a_very_long_fit_is_written_in_parts(api: TestClient, settings: Settings) -> None:
     fit = stored_fit(settings, make_dataset(api), b"", frames=3_000_000 // 16 + 1)
-    detail = problem(api.get(f"/fits/{fit}/animation?format=csv"), 422, "invalid_input", "/format")
+    detail = problem(api.get(f"/fits/{fit}/animation?format=csv"), 422, "invalid_input", "/frames")
     assert "3000000 points at most" in detail
 
 
