@@ -3,6 +3,7 @@
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict
 
+from service.http.errors import problems
 from service.wire.skeletons import KnownSkeleton, known_skeletons
 
 router = APIRouter(prefix="/skeletons", tags=["datasets"])
@@ -29,7 +30,7 @@ class SkeletonList(BaseModel):
     items: list[KnownSkeleton]
 
 
-@router.get("")
+@router.get("", responses=problems())
 def list_skeletons() -> SkeletonList:
     """List the skeletons that are known by name, those of people, hands, animals and faces.
 

@@ -111,7 +111,7 @@ def test_needs_neither_truth_nor_edges(tmp_path: Path) -> None:
     assert figures["pa_mpjpe_unseen"] is None
     assert figures["pck"] is None
     assert Path(figures["picture"]).exists()
-    command, _, address = figures["page"].partition(", then open ")
+    command, _, address = figures["page"].partition(", open the page that it prints, then ")
     live = start_service(tmp_path / command.partition("--data-dir ")[2])
     try:
         assert live.get(f"/fits/{address.rpartition('/')[2]}")["status"] == "succeeded"

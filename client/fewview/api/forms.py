@@ -153,10 +153,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Fit(Job):
-    """A job that turns a dataset into a model.
-
-    ``model_id`` and ``verdict`` are there when it has succeeded.
-    """
+    """A job that turns a dataset into a model; ``model_id`` and ``verdict`` come with success."""
 
     config: dict[str, Any] | None = None
     from_model: str | None = None
@@ -323,8 +320,7 @@ class StoredItem:
 class Storage:
     """What is stored of a project; ``quota_bytes`` is None where there is no bound.
 
-    ``own_bytes``, and ``own`` by kind, are of what was made with the key that asks: these count for
-    its quota. ``own`` is None from an older service.
+    ``own_bytes``, and ``own`` by kind, count for the quota of the key that asks.
     """
 
     stored_bytes: int

@@ -18,10 +18,12 @@ MAX_NODES = 50_000  # values, lists and maps: 500 cameras have half of it
 MAX_DEPTH = 16
 MAX_KEY_PARTS = 5  # of a dotted key of TOML
 MAX_SCALAR = 1024  # characters
-STRINGS = re.compile(r'"(?:[^"\\\n]|\\.)*+"|\'[^\'\n]*+\'')
+# One without an end is taken up to where it breaks off, so that no text is looked at twice.
+STRINGS = re.compile(r'"(?:[^"\\\n]|\\.)*+"?|\'[^\'\n]*+\'?')
 COMMENTS = re.compile(r"#[^\n]*")
+BRACKETS = re.compile(r"[\[\]{}]")
 BETWEEN_KEYS = re.compile(r"[,\[\]{}=\n]+")
-DRAWN = re.compile(r'"(?:[^"\\]|\\.)*+"')  # of JSON, whose strings may hold brackets
+DRAWN = re.compile(r'"(?:[^"\\]|\\.)*+"?')  # of JSON, whose strings may hold brackets
 
 
 def text_of(path: Path, limit: int = MAX_BYTES) -> str:
@@ -113,7 +115,7 @@ def yaml_of(path: Path, text: str) -> Any:
 def _check_depth(path: Path, plain: str) -> None:
     """Raise ``FormatError`` for brackets within brackets beyond `MAX_DEPTH`."""
     depth = 0
-    for bracket in re.findall(r"[\[\]{}]", plain):
+    for bracket in BRACKETS.findall(plain):
         depth += 1 if bracket in "[{" else -1
         if depth > MAX_DEPTH:
             raise _too_deep(path)

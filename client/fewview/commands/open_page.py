@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from fewview.commands.talking import Url, talking
+from fewview.commands.talking import Url, echo, talking
 
 if TYPE_CHECKING:
     from fewview.client import Client
@@ -26,9 +26,9 @@ def open_page(
     """
     with talking(url) as client:
         address = page_address(client)
-    typer.echo(address)
+    echo(address)
     if browser and not webbrowser.open(address):
-        typer.echo("fewview open: no browser is found: open the address in one", err=True)
+        echo("fewview open: no browser is found: open the address in one", err=True)
 
 
 def page_address(client: "Client", screen: str = "") -> str:

@@ -128,7 +128,7 @@ def test_handshakes_of_websockets_have_one(http: httpx2.Client, given: str | Non
         assert accepted.response is not None
         assert expected.fullmatch(accepted.response.headers[HEADER])
     for path, more, status in (
-        ("/lift/stream", {"Origin": "https://evil.example"}, 403),
+        ("/lift/stream", {"Origin": "https://evil.example"}, 401),
         ("/no/such/path", {}, 403),
     ):
         with pytest.raises(InvalidStatus) as refused:

@@ -219,7 +219,7 @@ def test_panels_have_places_of_their_own() -> None:
 def test_compose_is_of_its_specification() -> None:
     """With its anchors merged, and variables in the place of which words stand."""
     text = (ROOT / "docker-compose.yml").read_text()
-    text = re.sub(r"\$\{FEWVIEW_MEMORY:-(\w+)\}", r"\1", text)
+    text = re.sub(r"\$\{(?:FEWVIEW_MEMORY|\w+_IMAGE):-([^}]+)\}", r"\1", text)
     read = PyOptions(apply_merge=True).from_yaml
     compose = read(text)
     compose.validate()

@@ -10,7 +10,7 @@ from safetensors import safe_open
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
-from models.findings.finding import Finding
+from service.wire.findings import FindingForm
 from tests.models.rigs import make_rig_capture
 from tests.service.conftest import (
     BYTES,
@@ -78,7 +78,7 @@ def uploaded(client: Any, keypoints: Float32) -> dict[str, Any]:
 
 
 def codes(of: dict[str, Any]) -> list[str]:
-    return [Finding.model_validate(finding).code for finding in of["findings"]]
+    return [FindingForm.model_validate(finding).code for finding in of["findings"]]
 
 
 @pytest.mark.parametrize("code", HARMS)
