@@ -10,7 +10,7 @@ from typing import IO, Any
 ACTING = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
-FORMULA = re.compile(r"'*[=+\-@\t]")  # with which spreadsheets begin a formula
+FORMULA = re.compile(r"\A'*[=+\-@\t]")  # with which spreadsheets begin a formula
 BREAKS = re.compile(r"[\r\n\v\f\x1c-\x1e\x85\u2028\u2029]+")  # of which our own reader makes lines
 
 

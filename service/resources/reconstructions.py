@@ -11,7 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from models.capture.clocks import in_step
-from models.findings.finding import Finding
 from models.settings.config import Refine
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.downloads import ranged_response, streamed_response
@@ -22,7 +21,7 @@ from service.realtime.dependencies import EngineDep, RoomsDep
 from service.realtime.lift import RefineQuery
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
-from service.wire.findings import Findings
+from service.wire.findings import FindingForm, Findings
 from service.wire.representations import (
     JSON,
     FormatQuery,
@@ -142,7 +141,7 @@ def get_reconstruction(
         "model_id": fit.model_id,
         "dataset_id": fit.dataset_id,
     }
-    findings = [Finding.model_validate(finding) for finding in fit.findings or []]
+    findings = [FindingForm.model_validate(finding) for finding in fit.findings or []]
     filename = f"{fit.id}-reconstruction"
     direction = read_up(up)
     in_room = is_room(frame, direction)
