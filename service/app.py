@@ -35,6 +35,7 @@ from service.http.limits import BodyLimit
 from service.http.local_owner import VARIABLE, LocalOwner
 from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
+from service.http.preconditions import describe_preconditions
 from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.safe_headers import SafeHeaders
@@ -69,7 +70,6 @@ from service.resources import (
 )
 from service.resources.events import Events
 from service.resources.integrity import Integrity
-from service.resources.preconditions import describe_preconditions, refuse_if_changed
 from service.settings import Settings
 from store.access_keys import new_token
 from store.database import Store
@@ -106,7 +106,7 @@ RESOURCES = (
 )
 
 # What every route refuses, in this order.
-REFUSALS = (refuse_foreign_changes, refuse_unknown_query, refuse_if_changed)
+REFUSALS = (refuse_foreign_changes, refuse_unknown_query)
 
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 

@@ -12,7 +12,8 @@ from sqlalchemy import func, select
 from store import audit, clock
 from store.authors import owned_by
 from store.database import Store
-from store.errors import InputError, NotFoundError
+from store.errors import InputError
+from store.expectations import compare
 from store.locks import alone
 from store.lookup import lock
 from store.records import ModelAlias, ModelRecord
@@ -41,6 +42,8 @@ def put(store: Store, name: str, model_id: str) -> ModelAlias:
         alone(session, ModelAlias.__tablename__)
         model = lock(session, ModelRecord, model_id)  # against deletion
         alias = session.get(ModelAlias, (store.project, name))
+        before = None if alias is None else lock(session, ModelRecord, alias.model_id)
+        compare(session, ModelRecord, name, before)
         if alias is None:
             count = session.scalar(select(func.count(ModelAlias.name))) or 0
             if count >= MAX_ALIASES:
@@ -60,10 +63,8 @@ def delete(store: Store, name: str) -> None:
     """Delete an alias; its model stays. Raise ``NotFoundError`` if there is none."""
     with store.writing() as session:
         alone(session, ModelAlias.__tablename__)
-        alias = session.get(ModelAlias, (store.project, name))
-        if alias is None:
-            raise NotFoundError(ModelRecord.noun, name)
-        session.delete(alias)
+        lock(session, ModelRecord, name)  # or there is no such alias
+        session.delete(session.get(ModelAlias, (store.project, name)))
         audit.note(session, "alias.delete", name)
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import event
 from sqlalchemy.orm import ORMExecuteState, Session, with_loader_criteria
 
+from store.expectations import Expected
 from store.quotas import Quotas
 from store.records import DEFAULT_PROJECT, Owned
 
@@ -40,11 +41,17 @@ class Author(NamedTuple):
 
 
 class AuthoredSession(Session):
-    """A session that may have an author."""
+    """A session that may have an author, who may expect a record to be as it was."""
 
-    def __init__(self, *arguments: Any, author: Author | None, **more: Any) -> None:
+    def __init__(
+        self,
+        *arguments: Any,
+        author: Author | None,
+        expected: Expected | None = None,
+        **more: Any,
+    ) -> None:
         super().__init__(*arguments, **more)
-        self.info["author"] = author
+        self.info["author"], self.info["expected"] = author, expected
 
 
 def author_of(session: Session) -> Author | None:

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from store import deployment, schema
 from store.authors import Author, AuthoredSession
 from store.engine import open_engine
+from store.expectations import Expected
 from store.locks import alone
 from store.objects import Objects
 from store.records import DEFAULT_PROJECT
@@ -34,6 +35,7 @@ class Store:
             on in the fork, so another process must have opened the store before.
         """
         self.author: Author | None = None
+        self.expected: Expected | None = None
         self.engine = open_engine(settings.resolved_database_url, forks=forks)
         try:
             schema.prepare(self.engine, embedded=settings.database_url is None)
@@ -44,10 +46,16 @@ class Store:
             self.close()
             raise
 
-    def on_behalf_of(self, author: Author) -> Self:
-        """Return this store as an author sees it: the author's project, and nothing else."""
+    def on_behalf_of(self, author: Author, expected: Expected | None = None) -> Self:
+        """Return this store as an author sees it: the author's project, and nothing else.
+
+        Parameters
+        ----------
+        expected
+            What is compared before that record changes: by `store.lookup.lock`.
+        """
         seen = copy.copy(self)
-        seen.author = author
+        seen.author, seen.expected = author, expected
         return seen
 
     @property
@@ -71,7 +79,9 @@ class Store:
         lift, condemned objects by key.
         """
         engine = self.engine.execution_options(writing=True)
-        session = AuthoredSession(engine, author=self.author, expire_on_commit=False)
+        session = AuthoredSession(
+            engine, author=self.author, expected=self.expected, expire_on_commit=False
+        )
         with session, session.begin():
             if self.author is not None and self.author.quotas.bound_records():
                 alone(session, f"account of {self.author.key_id}")

@@ -1,6 +1,6 @@
 """Changes of what is known of a dataset besides its frames, and what follows from them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -18,12 +18,7 @@ RATE_FRAMES = 1000  # plenty for the median of the steps between times
 
 
 def change(
-    store: Store,
-    kind: type[DatasetRecord],
-    identifier: str,
-    columns: Mapping[str, Any],
-    *,
-    agree: Callable[[DatasetRecord], None] = lambda _: None,
+    store: Store, kind: type[DatasetRecord], identifier: str, columns: Mapping[str, Any]
 ) -> DatasetRecord:
     """Have columns of a dataset hold something else, and return it.
 
@@ -50,7 +45,6 @@ def change(
             with_findings["findings"] = dataset_findings.of_sizes(read, dataset, sizes)
         with store.writing() as session:
             record = lock(session, kind, identifier)
-            agree(record)
             changed = record.checksum == dataset.checksum  # else frames were added meanwhile
             if changed:
                 put(session, record, with_findings)

@@ -6,8 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import func, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import func, select
 
 from models.settings.times import check_rate
 from store import audit, dataset_findings, jobs, keys
@@ -146,9 +145,12 @@ def append(
             with discarded_if_full(store, key), store.writing() as session:
                 if replayed(session, idempotency) is not None:
                     break
-                columns["stored_bytes"] = DatasetRecord.stored_bytes + size
-                appended = _extend(session, dataset, columns)
+                record = lock(session, DatasetRecord, dataset_id)
+                appended = record.checksum == dataset.checksum  # else others added frames meanwhile
                 if appended:
+                    columns["stored_bytes"] = record.stored_bytes + size
+                    for name, value in columns.items():
+                        setattr(record, name, value)
                     session.add(
                         Chunk(
                             dataset_id=dataset_id,
@@ -214,17 +216,6 @@ def times_of(dataset: DatasetRecord, capture: Capture, first_frame: int = 0) -> 
     if capture.times is not None or dataset.fps is None:
         return capture.times
     return (first_frame + np.arange(capture.frames)) / dataset.fps
-
-
-def _extend(session: Session, dataset: DatasetRecord, columns: dict[str, Any]) -> bool:
-    """Write the columns, unless somebody else has added frames since the dataset was read."""
-    written = session.execute(
-        update(DatasetRecord)
-        .where(DatasetRecord.id == dataset.id, DatasetRecord.checksum == dataset.checksum)
-        .values(**columns)
-        .returning(DatasetRecord.id)
-    )
-    return written.first() is not None
 
 
 def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture:

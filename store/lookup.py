@@ -1,6 +1,6 @@
 """What has an identifier, datasets, models, fits and lifts alike: reading and renaming it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, func, select
@@ -12,6 +12,7 @@ from store.array_files import GetRange
 from store.authors import author_of
 from store.database import Store
 from store.errors import DamagedError, NotFoundError, StoreError
+from store.expectations import compare
 from store.labels import mentions, says, tagged
 from store.records import (
     DEFAULT_PROJECT,
@@ -127,27 +128,21 @@ def lock(
 ) -> Resource:
     """Return a record in a transaction that writes; it is locked until its end.
 
-    Raises ``NotFoundError`` if there is none; ``project`` is as :func:`resolved` takes it.
+    Raises ``NotFoundError`` if there is none, and what `store.expectations` does if it is not what
+    the author expects; ``project`` is as :func:`resolved` takes it.
     """
     known = resolved(session, kind, identifier, project)
-    return _found(session.get(kind, known, with_for_update=True), kind, identifier)
+    record = _found(session.get(kind, known, with_for_update=True), kind, identifier)
+    compare(session, kind, identifier, record)
+    return record
 
 
 def change(
-    store: Store,
-    kind: type[Resource],
-    identifier: str,
-    columns: Mapping[str, Any],
-    *,
-    agree: Callable[[Resource], None] = lambda _: None,
+    store: Store, kind: type[Resource], identifier: str, columns: Mapping[str, Any]
 ) -> Resource:
-    """Have columns of a record hold something else, and return it; ``NotFoundError`` as above.
-
-    ``agree`` is called with the locked record before it changes; what it raises prevents that.
-    """
+    """Have columns of a record hold something else, and return it; raise as `lock` does."""
     with store.writing() as session:
         record = lock(session, kind, identifier)
-        agree(record)
         put(session, record, columns)
     return record
 

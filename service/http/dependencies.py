@@ -14,6 +14,7 @@ from starlette.requests import HTTPConnection
 from service.http.errors import ApiError, of_mistakes
 from service.http.keyring import caller_of
 from service.http.origins import refuse_foreign
+from service.http.preconditions import expected_by
 from service.settings import Settings
 from store.database import Store
 from store.mistakes import MOST, Mistake, pointer, unknown
@@ -30,10 +31,14 @@ async def get_settings(request: Request) -> Settings:
 
 
 async def get_store(request: HTTPConnection) -> Store:
-    """Return the store as the caller sees it: the project of the key, and nothing else."""
+    """Return the store as the caller sees it: the project of the key, and nothing else.
+
+    Where the request has ``If-Match``, what changes its record compares that.
+    """
     store: Store = request.app.state.store
     identifier = request.scope["state"]["request_id"]
-    return store.on_behalf_of(caller_of(request).author._replace(request_id=identifier))
+    author = caller_of(request).author._replace(request_id=identifier)
+    return store.on_behalf_of(author, expected_by(request))
 
 
 async def get_redis(request: Request) -> Redis:

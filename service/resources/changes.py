@@ -1,16 +1,16 @@
 """Changing names, tags and metadata of stored resources, and what else a kind of them allows."""
 
 from collections.abc import Callable
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Response
+from fastapi import APIRouter, Path, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.http.dependencies import StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
+from service.http.preconditions import etag_of
 from service.http.uploads import UploadBody
-from service.resources.preconditions import etag_of, unchanged_since
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
 from store import lookup
@@ -18,14 +18,6 @@ from store.labels import METADATA, TAGS, Metadata, Tags
 from store.lookup import Resource
 
 LABELS = ("name", "tags", "metadata")
-IfMatch = Annotated[
-    str | None,
-    Header(
-        max_length=1000,
-        description="The `ETag` of the resource as you read it: if it has changed since, nothing "
-        "is changed (412).",
-    ),
-]
 
 
 class Change(BaseModel):
@@ -51,19 +43,8 @@ class Change(BaseModel):
         """Raise ``ApiError`` for what this record cannot be changed to; labels suit every one."""
 
 
-class Write(Protocol):
-    """What changes columns of a record, as `store.lookup.change` does."""
-
-    def __call__(
-        self,
-        store: Any,
-        kind: Any,
-        identifier: str,
-        columns: dict[str, Any],
-        *,
-        agree: Callable[[Any], None],
-    ) -> Any:
-        """Change them, and return the record."""
+# What changes columns of a record, and returns it, as `store.lookup.change` does.
+Write = Callable[[Any, Any, str, dict[str, Any]], Any]
 
 
 def add_change_route(
@@ -94,7 +75,7 @@ def add_change_route(
         response_model=form,
         description=f"Change the labels of a {noun}: `name`, `tags`, `metadata`. Fields that are "
         f"left out stay as they are.{more}",
-        responses=problems(*BODY_PROBLEMS, "not_found", "precondition_failed"),
+        responses=problems(*BODY_PROBLEMS, "not_found"),
         openapi_extra=request_body(change),
     )
     def change_resource(
@@ -102,11 +83,9 @@ def add_change_route(
         upload: UploadBody,
         store: StoreDep,
         response: Response,
-        if_match: IfMatch = None,
     ) -> Any:
         asked = read_json(upload, change)
         asked.check(lookup.get(store, kind, identifier))
-        agree = unchanged_since(if_match)
-        changed = write(store, kind, identifier, asked.columns(), agree=agree)
+        changed = write(store, kind, identifier, asked.columns())
         response.headers["ETag"] = etag_of(changed)
         return to_wire(changed)

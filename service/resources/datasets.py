@@ -17,6 +17,7 @@ from service.http.dependencies import (
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
+from service.http.preconditions import etag_of
 from service.http.uploads import FilesBody, UploadBody
 from service.resources.changes import add_change_route
 from service.resources.dataset_bodies import (
@@ -30,7 +31,6 @@ from service.resources.dataset_bodies import (
     read_new,
 )
 from service.resources.lists import Page, add_list_routes, page_of
-from service.resources.preconditions import etag_of
 from service.wire.calibrations import CaptureCalibration
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name

@@ -12,10 +12,10 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.http.keyring import still_let_in
+from service.http.preconditions import etag_of
 from service.resources.changes import add_change_route
 from service.resources.events import EventsDep
 from service.resources.lists import Columns
-from service.resources.preconditions import etag_of
 from store import jobs, lookup
 from store.database import Store
 from store.jobs import Job

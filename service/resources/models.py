@@ -23,11 +23,11 @@ from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
 from service.http.operations import file_responses, request_body
+from service.http.preconditions import etag_of
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
 from service.resources.lists import Page, add_list_routes, page_of
-from service.resources.preconditions import etag_of
 from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
 from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings

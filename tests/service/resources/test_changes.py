@@ -2,16 +2,25 @@
 
 import io
 import json
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from store import lookup
+from store.database import Store
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, JSON, make_dataset, problem
 
 pytestmark = on_every_deployment
+
+KINDS: dict[str, Any] = {
+    kind.noun: kind for kind in (DatasetRecord, FitRecord, LiftRecord, ModelRecord)
+}
 
 
 @pytest.fixture
@@ -160,6 +169,7 @@ def test_nothing_is_changed_that_has_changed_since_it_was_read(
     paths = api.get("/openapi.json").json()["paths"]
     of_kind = dict(zip(("dataset_id", "fit_id", "lift_id", "model_id"), urls, strict=True))
     stale = {"If-Match": '"of yesterday"'}
+    alias = f"/models/new@{urls[3][-6:]}"
     seen = 0
     for path, operations in paths.items():
         kind = next((name for name in of_kind if f"{{{name}}}" in path), None)
@@ -169,8 +179,10 @@ def test_nothing_is_changed_that_has_changed_since_it_was_read(
             url = path.replace(f"/{kind[:-3]}s/{{{kind}}}", of_kind[kind])
             before = api.get(of_kind[kind]).json()
             body: dict[str, Any] = {"keypoints": [[[[1, 2]] * 16] * 2]}
-            if method != "post":
-                body = {"name": "new"} if method == "patch" else {"model_id": urls[3][8:]}
+            if method == "patch":
+                body = {"name": "new"}
+            elif method == "put":
+                url, body = alias, {"model_id": urls[3][8:]}
             given: dict[str, Any] = {} if method == "delete" else {"json": body}
             refused = api.request(method, url, headers=stale, **given)
             problem(refused, 412, "precondition_failed")
@@ -180,11 +192,43 @@ def test_nothing_is_changed_that_has_changed_since_it_was_read(
             assert "412" in operations[method]["responses"]
             seen += 1
     assert seen >= 12
-    alias = f"/models/new@{urls[3][-6:]}"
-    problem(
-        api.put(alias, json={"model_id": urls[3][8:]}, headers=stale), 412, "precondition_failed"
-    )
+    assert api.get(alias).status_code == 404
     for url in (*urls[1:], urls[0]):
         tag = {"If-Match": api.get(url).headers["etag"]}
         assert api.delete(url, headers=tag).status_code == 204
         problem(api.delete(url, headers=tag), 404, "not_found")
+
+
+def test_what_changes_while_a_request_waits_for_the_records_is_compared(
+    api: TestClient, urls: list[str], model: str
+) -> None:
+    """Who asked first holds the record; who comes with the tag of before then waits for it."""
+    store: Store = api.app.state.store  # type: ignore[attr-defined]
+    alias = f"/models/race@{urls[3][-6:]}"
+    assert api.put(alias, json={"model_id": urls[3][8:]}).status_code == 200
+    frames = {"keypoints": [[[[1, 2]] * 16] * 2]}
+    races: list[tuple[str, str, Any, str]] = [("DELETE", url, None, url) for url in urls]
+    races += [("PATCH", url, {"name": "late"}, url) for url in urls]
+    races += [("POST", f"{url}/cancel", None, url) for url in urls[1:3]]
+    races += [("POST", f"{urls[0]}/frames", frames, urls[0]), ("DELETE", alias, None, urls[3])]
+    races += [("PUT", alias, {"model_id": model}, urls[3])]
+    for number, (method, url, body, changed) in enumerate(races):
+        kind, identifier = KINDS[changed.split("/")[1][:-1]], changed.split("/")[2]
+        tag = {"If-Match": api.get(changed).headers["etag"]}
+        with ThreadPoolExecutor(1) as one, store.writing() as session:
+            record = lookup.lock(session, kind, identifier)
+            late = one.submit(api.request, method, url, json=body, headers=tag)
+            time.sleep(0.1)  # it comes as far as the lock; if it did not, it would be refused too
+            lookup.put(session, record, {"name": f"first {number}"})
+            session.commit()
+            problem(late.result(), 412, "precondition_failed")
+        assert api.get(changed).json()["name"] == f"first {number}"
+    assert api.get(f"{urls[0]}").json()["frames"] == 1
+    assert api.get(alias).json()["id"] == urls[3][8:]
+    for url in (*urls, alias):
+        too_long = {"If-Match": f'"{"x" * 1000}"'}
+        problem(api.delete(url, headers=too_long), 422, "invalid_input", "/if-match")
+    assert api.delete(alias, headers={"If-Match": tag["If-Match"]}).status_code == 412
+    fresh = {"If-Match": api.get(alias).headers["etag"]}
+    assert api.put(alias, json={"model_id": model}, headers=fresh).status_code == 200
+    assert api.delete(alias, headers={"If-Match": "*"}).status_code == 204
