@@ -1,10 +1,14 @@
 """Remedies are taken on the page, where they are read."""
 
+import io
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from playwright.sync_api import expect
+from PIL import Image
+from playwright.sync_api import Locator, expect
 
 from tests.page.conftest import Watched
 from tests.page.stored import EDGES, NAMES, Stored
@@ -25,6 +29,13 @@ def skeleton_of(live: Live, url: str) -> Any:
     return live.get(url)["skeleton"]
 
 
+def accented(stage: Locator) -> int:
+    """Count the pixels of a picture in 3D that have the colour of what is offered or chosen."""
+    pixels = np.asarray(Image.open(io.BytesIO(stage.screenshot())).convert("RGB")).astype(int)
+    red, green, blue = np.moveaxis(pixels, -1, 0)
+    return int(((green - red > 30) & (green > blue)).sum())
+
+
 def test_edges_that_were_found_are_dashed_until_they_are_accepted(
     watched: Watched, live: Live, stored: Stored, unnamed: str
 ) -> None:
@@ -32,9 +43,13 @@ def test_edges_that_were_found_are_dashed_until_they_are_accepted(
     panel = page.get_by_role("region", name="Skeleton")
     expect(panel.get_by_text("nothing joins them")).to_be_visible()
     expect(panel.locator("line.offered").first).to_be_visible()
+    stage = page.get_by_role("img", name="3D structure")
+    assert accented(stage) > 200  # they are there in 3D, too
     panel.get_by_role("button", name="Draw these edges").click()
     expect(panel.get_by_text("nothing joins them")).to_have_count(0)
     expect(panel.locator("line.offered")).to_have_count(0)
+    expect(stage).to_be_visible()
+    assert accented(stage) < 20
     found = {tuple(sorted(edge)) for edge in skeleton_of(live, unnamed)["edges"]}
     assert len(found) >= 12  # of 16 keypoints
     assert len({end for edge in found for end in edge}) >= 13
@@ -78,3 +93,24 @@ def test_image_sizes_are_given_beside_the_words(
     page.get_by_role("button", name="Save", exact=True).first.click()
     expect(page.get_by_text("Outside image")).to_have_count(0)
     assert live.get(unnamed)["image_sizes"] == [[2000, 1500]] * 3
+
+
+def test_up_is_shown_by_two_keypoints_and_is_that_of_what_is_saved(
+    watched: Watched, stored: Stored
+) -> None:
+    """The ankle is put above the shoulder: the walk stands on its head."""
+    page = watched.open(f"#/fits/{stored.fit}")
+    known = page.get_by_role("region", name="What you know of it")
+    known.get_by_text("Give a known length").click()  # which no finding asks for
+    expect(known.get_by_label("Length")).to_have_value("0.5")
+    known.get_by_text("Show which way is up").click()
+    known.get_by_label("Lower").select_option("l_shoulder")
+    known.get_by_label("Upper").select_option("l_ankle")
+    known.get_by_role("button", name="Show it so").click()
+    expect(page.get_by_text("In the room: y up")).to_be_visible()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="npz").first.click()
+    with np.load(io.BytesIO(Path(saved.value.path()).read_bytes())) as arrays:
+        off = arrays["points3d"][:, NAMES.index("l_ankle")] - arrays["points3d"][:, 0]
+    mean = np.nanmean(off / np.linalg.norm(off, axis=-1, keepdims=True), axis=0)
+    assert mean[1] > 0.99 * np.linalg.norm(mean)

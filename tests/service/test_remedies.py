@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from fewview.commands.reading import OPTIONS
 
-from models.findings.catalogue import CATALOGUE
+from models.findings.catalogue import CATALOGUE, LiftCode
 from models.findings.remedies import REMEDY_FIELDS, RemedyField
 from service.openapi import document
 from service.wire.detector_files import DetectorReading
@@ -16,9 +16,8 @@ from service.wire.detector_files import DetectorReading
 ROOT = Path(__file__).parents[2]
 READING = ROOT / "page" / "src" / "remedies" / "reading.tsx"
 REGISTRY = ROOT / "page" / "src" / "remedies" / "registry.ts"
+FRAME_FINDINGS = ROOT / "page" / "src" / "science" / "frame_findings.ts"
 OF_LIFTS = {"frame", "refine", "views"}
-OF_PROGRAMS = {"from_model", *OF_LIFTS}  # what is taken where one writes a request or a command
-OF_FILES = {"mirror"}  # whose control the form of an upload makes from the API's document
 OPTION = {"image_sizes": "image_size"}
 
 
@@ -60,10 +59,18 @@ def test_every_field_of_a_remedy_has_an_option_or_is_a_fit_s() -> None:
 
 
 def test_every_field_of_a_remedy_has_a_control_on_the_page() -> None:
-    registered = set(re.findall(r"^  (\w+): \{ words:", REGISTRY.read_text(), re.MULTILINE))
-    wanted = set(get_args(RemedyField.__value__)) - OF_PROGRAMS - OF_FILES
-    assert registered == wanted
-    assert fields("DatasetCreateForm") >= OF_FILES
+    text = REGISTRY.read_text()
+    registered = set(re.findall(r"^  (\w+): \{", text[text.index("const REMEDIES") :], re.MULTILINE))
+    assert registered == set(get_args(RemedyField.__value__))
+
+
+def test_what_the_page_notices_of_frames_has_the_remedies_of_the_service() -> None:
+    found = re.findall(
+        r'code: "(\w+)".*?remedy_fields: \[(.*?)\]', FRAME_FINDINGS.read_text(), re.DOTALL
+    )
+    assert len(found) == len(get_args(LiftCode.__value__))
+    for code, fields in found:
+        assert tuple(re.findall(r"\w+", fields)) == REMEDY_FIELDS.get(code, ()), code
 
 
 def test_every_option_of_reading_has_a_control_on_the_page() -> None:

@@ -15,6 +15,14 @@ export interface Result {
   cameras: ModelCameras;
   file: CaptureFile;
   loader: Loader;
+  query: string; // of the frame of reference
+}
+
+/** What structures are wanted in: the best frame of reference that there is, unless it is the canonical one or a
+ * direction in the room that is up. */
+export interface Axes {
+  frame?: "room" | "canonical";
+  up?: readonly number[];
 }
 
 const MODEL_GONE = "Its model was deleted, and with it the cameras.";
@@ -32,13 +40,17 @@ async function unlessGone<T>(asked: Promise<T>, why: string): Promise<T> {
   }
 }
 
-const QUERIES: Record<Frame, string> = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" };
+/** Returns how a frame of reference is asked for. */
+function queryFor(frame: Frame, { up }: Axes = {}): string {
+  if (frame === "view") return "";
+  return frame === "camera" ? "&frame=room" : `&frame=room&up=${up?.map((value) => value.toFixed(6)).join() ?? "auto"}`;
+}
 
 /** Returns the result of a fit that has succeeded: all of a short one, else a few of all frames and
  * those about the first that is shown.
  *
  * @param onAsked called as soon as the service was asked for frames */
-export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => void): Promise<Result> {
+export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsked: () => void): Promise<Result> {
   if (fit.model_id === null || fit.model_id === undefined) {
     throw new Unplayable(MODEL_GONE);
   }
@@ -52,7 +64,8 @@ export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => vo
   const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
   const end = Math.min(fit.frames, first + size);
   const detected = file.detected(first, end);
-  const load = inBestFrame(cameras, (query) => {
+  const best = axes.frame === "canonical" ? "view" : bestFrame(cameras);
+  const load = inFrame(best, axes, (query) => {
     const part = structures(fit.id, query, `${first}:${end}`);
     const overview = step > 0 ? structures(fit.id, query, `::${step}`) : null;
     return Promise.all([part, overview]);
@@ -64,22 +77,21 @@ export async function loadResult(fit: Fit, firstFrame: number, onAsked: () => vo
   if (overview !== null) putStructures(take, overview, 0, step);
   putStructures(take, part, first, 1);
   putDetected(take, seen, first);
-  const loader = createLoader(take, file, fit.id, QUERIES[frame], first);
-  return { take, model: await model, cameras, file, loader };
+  const query = queryFor(frame, axes);
+  const loader = createLoader(take, file, fit.id, query, first);
+  return { take, model: await model, cameras, file, loader, query };
 }
 
 /** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */
 export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOneFrame: boolean }> {
-  const { frame, found } = await inBestFrame(await getCameras(fit.model_id ?? ""), (query) =>
-    getReconstruction(fit.id, query),
-  );
+  const cameras = await getCameras(fit.model_id ?? "");
+  const { frame, found } = await inFrame(bestFrame(cameras), {}, (query) => getReconstruction(fit.id, query));
   return { points: needed(readSafetensors(found), "points3d"), inOneFrame: frame !== "view" };
 }
 
-/** Returns what is loaded in the best frame of reference that there is. */
-function inBestFrame<T>(cameras: ModelCameras, load: (query: string) => Promise<T>): Promise<Placed<T>> {
-  const anyStatic = cameras.views.some((view) => view.static && view.rotation);
-  return inFrame(anyStatic ? "level" : "view", load);
+/** Returns the best frame of reference that there may be. */
+function bestFrame(cameras: ModelCameras): Frame {
+  return cameras.views.some((view) => view.static && view.rotation) ? "level" : "view";
 }
 
 interface Placed<T> {
@@ -90,12 +102,12 @@ interface Placed<T> {
 const WORSE: Partial<Record<Frame, Frame>> = { level: "camera", camera: "view" };
 
 /** Returns what is loaded in a frame of reference or, where there is none such, in the next best. */
-export async function inFrame<T>(frame: Frame, load: (query: string) => Promise<T>): Promise<Placed<T>> {
+export async function inFrame<T>(frame: Frame, axes: Axes, load: (query: string) => Promise<T>): Promise<Placed<T>> {
   try {
-    return { frame, found: await load(QUERIES[frame]) };
+    return { frame, found: await load(queryFor(frame, axes)) };
   } catch (error) {
     const next = WORSE[frame];
     if (next === undefined || !(error instanceof Refusal) || error.status !== 409) throw error;
-    return inFrame(next, load);
+    return inFrame(next, axes, load);
   }
 }

@@ -9,6 +9,7 @@ import { Tags } from "../lists/tags.tsx";
 import { Alert, Waiting } from "../parts/alert.tsx";
 import { DeleteButton, NamedHeading } from "../parts/named.tsx";
 import { Remediable } from "../remedies/provider.tsx";
+import { subjectOf } from "../remedies/subject.ts";
 import { SkeletonPanel } from "../remedies/skeleton_panel.tsx";
 import { goTo, linkTo } from "../route.ts";
 import { CalibrationChoice, NOTHING_GIVEN } from "./calibration.tsx";
@@ -51,7 +52,7 @@ export function DatasetScreen({ id }: { id: string }) {
     setDataset(changed);
     if (frame !== null) setFrame(drawnAs(frame, changed));
   };
-  const subject = { dataset, fit: null, take: null, picture: frame, selected: null, onDataset: taken };
+  const subject = { ...subjectOf(dataset, taken), picture: frame };
   return (
     <main>
       <header class="title">

@@ -5,7 +5,7 @@ import { captured } from "../fits/fits_screen.tsx";
 import { Alert } from "../parts/alert.tsx";
 import { bytes, count, percent } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
-import { ReadingControls, type Reading } from "../remedies/reading.tsx";
+import { ReadingControls, readingInAddress, type Reading } from "../remedies/reading.tsx";
 import { goTo } from "../route.ts";
 import { chosen, filesOf, groupsOf, joined, type Placed } from "./dropping.ts";
 import { People } from "./people.tsx";
@@ -19,7 +19,7 @@ const NOTHING: Description = { name: "", fps: "", width: "", height: "", person:
 
 export function NewScreen() {
   const [files, setFiles] = useState<Placed[]>([]);
-  const [description, setDescription] = useState(NOTHING);
+  const [description, setDescription] = useState(() => ({ ...NOTHING, reading: readingInAddress() }));
   const [sent, setSent] = useState<number | null>(null); // share of what is being stored
   const [broken, setBroken] = useState<string | null>(null); // why nothing is sent just now
   const [trouble, setTrouble] = useState<string | null>(null);

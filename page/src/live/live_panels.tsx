@@ -7,6 +7,8 @@ import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { count, number } from "../parts/format.ts";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
+import { Remediable } from "../remedies/provider.tsx";
+import type { Subject } from "../remedies/subject.ts";
 import { createLoop } from "../result/loop.ts";
 import { createPlayer } from "../result/player.ts";
 import type { Extent } from "../result/scene/parts.ts";
@@ -33,7 +35,8 @@ export interface Running {
 const FIRST_ANSWERS = 30;
 const PERIOD_MS = 250; // between two looks at the figures
 
-export function LivePanels({ running }: { running: Running }) {
+/** @param subject what remedies are taken for; null where a program asks for what is lifted */
+export function LivePanels({ running, subject = null }: { running: Running; subject?: Subject | null }) {
   const [trouble, setTrouble] = useState<Trouble | null>(null);
   const { feed, shown: begun, come } = useFeed(running, setTrouble);
   useRegularLook(feed);
@@ -67,7 +70,9 @@ export function LivePanels({ running }: { running: Running }) {
           </section>
           <section class="panel">
             <h2>What was noticed</h2>
-            <FindingList findings={noticed} viewNames={take.viewNames} keypointNames={take.names} />
+            <Remediable subject={subject}>
+              <FindingList findings={noticed} viewNames={take.viewNames} keypointNames={take.names} />
+            </Remediable>
           </section>
         </div>
       </div>
@@ -124,7 +129,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   const shown: Shown = {
     ...{ config, take: feed.take, player, loop, theme, posed, version: 0, done: false },
     ...selection,
-    ...{ through, lookThrough },
+    ...{ through, lookThrough, joined: null },
   };
   return { feed, shown, come };
 }

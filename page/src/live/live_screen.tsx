@@ -16,7 +16,8 @@ import { extentOf } from "../result/scene/scene.ts";
 import type { Extent } from "../result/scene/parts.ts";
 import { LivePanels, type Running } from "./live_panels.tsx";
 import { OpenStreams } from "./open_streams.tsx";
-import { startReplay } from "./replay.ts";
+import { subjectOf, type Lifting } from "../remedies/subject.ts";
+import { startReplay, START } from "./replay.ts";
 
 const OVERVIEW = 300; // frames of the fit that say where the subject goes
 
@@ -26,6 +27,7 @@ export default function LiveScreen() {
   const [model, setModel] = useState("");
   const [chosen, setChosen] = useState({ dataset: "", rate: "" });
   const [running, setRunning] = useState<Running | null>(null);
+  const [lifting, setLifting] = useState<Lifting>({});
   const [trouble, setTrouble] = useState<string | null>(null);
   useEffect(() => {
     document.title = "Live · Fewview";
@@ -47,17 +49,29 @@ export default function LiveScreen() {
     fitting.find((each) => each.id === used?.dataset_id) ??
     fitting[0];
 
-  const start = async () => {
+  const start = async (change: Lifting) => {
     setTrouble(null);
     if (used === undefined || dataset === undefined) return;
     try {
       const rate = Number(chosen.rate) || undefined;
-      setRunning(await prepared(used, dataset.id, rate));
+      setLifting(change);
+      setRunning(await prepared(used, dataset.id, rate, change));
     } catch (error) {
       setTrouble((error as Error).message);
     }
   };
   if (models?.length === 0) return <Teach />;
+  const subject =
+    used === undefined || dataset === undefined
+      ? null
+      : {
+          ...subjectOf(dataset, (changed) =>
+            setDatasets(datasets.map((each) => (each.id === changed.id ? changed : each))),
+          ),
+          model: used.id,
+          lifting: asked(lifting, dataset.views),
+          onLifting: (change: Lifting) => void start({ ...lifting, ...change }),
+        };
   return (
     <main class="wide">
       <header class="title">
@@ -70,7 +84,7 @@ export default function LiveScreen() {
         class="panel live-form"
         onSubmit={(event) => {
           event.preventDefault();
-          if (running === null) void start();
+          if (running === null) void start({});
           else setRunning(null);
         }}
       >
@@ -119,18 +133,33 @@ export default function LiveScreen() {
         <p class="quiet">No stored capture has the {used.keypoints} keypoints and the views of this model.</p>
       )}
       <Alert>{trouble}</Alert>
-      {running === null ? <How /> : <LivePanels running={running} />}
+      {running === null ? <How /> : <LivePanels running={running} subject={subject} />}
     </main>
   );
 }
 
+/** Returns how frames are lifted, with what holds where nothing was chosen. */
+function asked({ frame = "room", refine = null, views }: Lifting, count: number): Lifting {
+  return { frame, refine, views: views ?? Array.from({ length: count }, (_, view) => view) };
+}
+
 /** Returns all that a stream needs to be shown. */
-async function prepared(model: ModelSummary, dataset: string, rate: number | undefined): Promise<Running> {
+async function prepared(
+  model: ModelSummary,
+  dataset: string,
+  rate: number | undefined,
+  lifting: Lifting,
+): Promise<Running> {
   const [file, cameras] = await Promise.all([remoteCapture(dataset), getCameras(model.id)]);
   const anyStatic = cameras.views.some((view) => view.static && view.rotation);
-  const frame: Frame = !anyStatic ? "view" : model.fit_id ? "level" : "camera";
-  const posed = file.capture.viewNames.map((_, view) => cameras.views.some(({ index }) => index === view));
+  const inRoom = anyStatic && lifting.frame !== "canonical";
+  const frame: Frame = !inRoom ? "view" : model.fit_id ? "level" : "camera";
+  const posed = file.capture.viewNames.map((_, view) =>
+    cameras.views.some(({ index }) => index === (lifting.views?.[view] ?? view)),
+  );
   const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
+  const { refine, views } = lifting;
+  const start = { model: model.id, ...START[shown], ...(refine && { refine }), ...(views && { views }) };
   const perSecond = rate ?? rateOf(file.capture).rate;
   return {
     ...{
@@ -141,7 +170,7 @@ async function prepared(model: ModelSummary, dataset: string, rate: number | und
       rate: perSecond,
       ...(extent ? { extent } : {}),
     },
-    start: (listener) => startReplay(file, model.id, shown, perSecond, listener),
+    start: (listener) => startReplay(file, start, shown, perSecond, listener),
   };
 }
 
@@ -153,7 +182,7 @@ async function extentOfFit(
 ): Promise<{ frame: Frame; extent?: Extent }> {
   if (!fit || !frames) return { frame: wanted };
   const slice = `::${Math.ceil(frames / OVERVIEW)}`;
-  const { frame, found } = await inFrame(wanted, (query) => structures(fit, query, slice));
+  const { frame, found } = await inFrame(wanted, {}, (query) => structures(fit, query, slice));
   const take = emptyTake(capture, found.get("points3d")?.shape[0] ?? 0, frame);
   putStructures(take, found, 0, 1);
   return { frame, extent: extentOf(take) };

@@ -11,20 +11,22 @@ const TICK_MS = 4;
 const LATE_MS = 500; // beyond which frames are skipped, as a camera's would be lost
 const MOST_SENT = 240; // frames that may yet be answered
 
-const FRAMES: Record<Frame, Omit<Start, "model">> = {
+/** How frames are asked for that are shown in a frame of reference. */
+export const START: Record<Frame, Pick<Start, "frame" | "up">> = {
   level: { frame: "room", up: "auto" },
   camera: { frame: "room" },
   view: { frame: "canonical" },
 };
 
-/** @param rate frames per second */
-export function startReplay(file: CaptureFile, model: string, frame: Frame, rate: number, listener: Listener): Feed {
+/** @param frame of reference in which they are shown
+ * @param rate frames per second */
+export function startReplay(file: CaptureFile, start: Start, frame: Frame, rate: number, listener: Listener): Feed {
   const { capture } = file;
   const take = emptyTake(capture, capture.frames, frame);
   const figures = { ...noFigures(), sent: 0 };
   let latencies: number[] = []; // milliseconds, of this second
   const frames = new Map<number, number>(); // by sequence
-  const stream = openStream({ model, ...FRAMES[frame] }, capture.keypoints, {
+  const stream = openStream(start, capture.keypoints, {
     onReady() {
       figures.connected = true;
       listener.onReady();

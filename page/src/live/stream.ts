@@ -7,6 +7,8 @@ export interface Start {
   model: string;
   frame: "room" | "canonical";
   up?: "auto";
+  refine?: "auto" | "off" | "full" | null;
+  views?: readonly number[];
 }
 
 export interface Heard {

@@ -2,7 +2,8 @@
 
 import { useState } from "preact/hooks";
 import type { components } from "../api/openapi.d.ts";
-import { FitAgain } from "./fit_again.tsx";
+import { FitAgain, OneOf } from "./fit_again.tsx";
+import { PerView } from "./per_view.tsx";
 import { useSubject, viewNames } from "./subject.ts";
 
 type Camera = components["schemas"]["Camera"];
@@ -13,25 +14,21 @@ const ARRANGEMENTS = [
   ["moving", "moving: each may move from frame to frame"],
 ] as const;
 
+const KINDS = [
+  ["auto", "found out"],
+  ["true", "alike: cameras of one model, at the same zoom"],
+  ["false", "unlike: of several models, or at several zooms"],
+] as const;
+
 export function ArrangementControl() {
-  const { fit } = useSubject();
-  const before = fit?.config?.cameras ?? "auto";
-  const [cameras, setCameras] = useState<string>(before);
-  return (
-    <>
-      <label>
-        Cameras{" "}
-        <select value={cameras} onChange={(event) => setCameras(event.currentTarget.value)}>
-          {ARRANGEMENTS.map(([value, label]) => (
-            <option key={value} value={value}>
-              {label}
-            </option>
-          ))}
-        </select>
-      </label>
-      <FitAgain change={cameras === before ? null : { cameras }} />
-    </>
-  );
+  const before = useSubject().fit?.config?.cameras ?? "auto";
+  return <OneOf label="Cameras" choices={ARRANGEMENTS} before={before} changeTo={(cameras) => ({ cameras })} />;
+}
+
+export function AlikeControl() {
+  const before = `${useSubject().fit?.config?.cameras_alike ?? "auto"}`;
+  const changeTo = (text: string) => ({ cameras_alike: text === "auto" ? text : text === "true" });
+  return <OneOf label="Lenses" choices={KINDS} before={before} changeTo={changeTo} />;
 }
 
 export function LensControl() {
@@ -45,32 +42,11 @@ export function LensControl() {
   const given = calibration.some((camera) => camera !== null);
   return (
     <>
-      <table class="per-view">
-        <thead>
-          <tr>
-            <th>View</th>
-            <th>Focal length, px</th>
-          </tr>
-        </thead>
-        <tbody>
-          {viewNames(dataset).map((name, view) => (
-            <tr key={view}>
-              <td>{name}</td>
-              <td>
-                <input
-                  aria-label={`Focal length of ${name}`}
-                  type="number"
-                  min={1}
-                  step="any"
-                  placeholder="not known"
-                  value={texts[view] ?? ""}
-                  onInput={(event) => setTexts(texts.map((old, at) => (at === view ? event.currentTarget.value : old)))}
-                />
-              </td>
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PerView
+        columns={[{ name: "Focal length", unit: "px", step: "any", hint: "not known" }]}
+        texts={texts.map((text) => [text])}
+        onText={(view, _, text) => setTexts(texts.map((old, at) => (at === view ? text : old)))}
+      />
       <p class="quiet">
         Leave a field empty to have the camera estimated, and whatever was given of it left out. A calibration file can
         be given where the <a href={`#/datasets/${dataset.id}`}>dataset</a> is fitted.

@@ -2,6 +2,7 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { sidesOf } from "../science/sides.ts";
+import { Choice } from "./choice.tsx";
 import { JointPicture } from "./joint_picture.tsx";
 import { keypointNames, useSubject, viewNames } from "./subject.ts";
 
@@ -51,19 +52,13 @@ export function ChosenJoints({ labels, before, onChange }: Props) {
         {labels.map((label, index) => (
           <label key={label}>
             {label}{" "}
-            <select
-              value={chosen[index] ?? ""}
-              onChange={({ currentTarget: { value } }) =>
+            <Choice
+              value={`${chosen[index] ?? ""}`}
+              choices={[["", "–"], ...names.map((name, keypoint) => [`${keypoint}`, name] as const)]}
+              onChange={(value) =>
                 change(chosen.map((old, at) => (at === index ? (value === "" ? null : Number(value)) : old)))
               }
-            >
-              <option value="">–</option>
-              {names.map((name, keypoint) => (
-                <option key={keypoint} value={keypoint}>
-                  {name}
-                </option>
-              ))}
-            </select>
+            />
           </label>
         ))}
       </div>

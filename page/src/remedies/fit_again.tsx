@@ -1,8 +1,10 @@
 /** Fits the same capture again, with one thing changed and all else as before. */
 
+import { useState } from "preact/hooks";
 import { createFit, type Fit } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { goTo } from "../route.ts";
+import { Choice } from "./choice.tsx";
 import { useSubject } from "./subject.ts";
 import { useAttempt } from "./use_attempt.ts";
 
@@ -27,6 +29,26 @@ export function FitAgain({ change }: { change: Record<string, unknown> | null })
         </button>
         <span class="quiet">All else stays as it is. This fit stays, too.</span>
       </div>
+    </>
+  );
+}
+
+interface OneOfProps {
+  label: string;
+  choices: readonly (readonly [string, string])[]; // values of a setting, and their words
+  before: string;
+  changeTo: (value: string) => Record<string, unknown>;
+}
+
+/** A setting of the fit that is one of a few. */
+export function OneOf({ label, choices, before, changeTo }: OneOfProps) {
+  const [value, setValue] = useState(before);
+  return (
+    <>
+      <label>
+        {label} <Choice value={value} choices={choices} onChange={setValue} />
+      </label>
+      <FitAgain change={value === before ? null : changeTo(value)} />
     </>
   );
 }

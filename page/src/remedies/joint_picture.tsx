@@ -3,6 +3,7 @@
 import { useState } from "preact/hooks";
 import type { Drawn } from "../datasets/preview.ts";
 import type { Side } from "../science/sides.ts";
+import { Choice } from "./choice.tsx";
 
 interface Props {
   picture: Drawn;
@@ -43,13 +44,11 @@ export function JointPicture(props: Props) {
       {viewNames.length > 1 && (
         <label>
           View{" "}
-          <select value={view} onChange={(event) => setView(Number(event.currentTarget.value))}>
-            {viewNames.map((name, index) => (
-              <option key={index} value={index}>
-                {name}
-              </option>
-            ))}
-          </select>
+          <Choice
+            value={`${view}`}
+            choices={viewNames.map((name, index) => [`${index}`, name] as const)}
+            onChange={(value) => setView(Number(value))}
+          />
         </label>
       )}
       <svg viewBox={`0 0 ${WIDE} ${HIGH}`} role="group" aria-label="Keypoints of a frame">

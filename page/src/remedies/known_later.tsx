@@ -5,10 +5,13 @@ import { changeDataset } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { goTo } from "../route.ts";
 import { fitLike } from "./fit_again.tsx";
+import { PerView } from "./per_view.tsx";
 import { useSubject, viewNames } from "./subject.ts";
 import { useAttempt } from "./use_attempt.ts";
 
 type Size = [number, number];
+
+const SIDES = ["Width", "Height"].map((name) => ({ name, unit: "px", step: 1 }));
 
 export function RateControl() {
   const { dataset } = useSubject();
@@ -49,34 +52,7 @@ export function SizesControl() {
   );
   return (
     <>
-      <table class="per-view">
-        <thead>
-          <tr>
-            <th>View</th>
-            <th>Width, px</th>
-            <th>Height, px</th>
-          </tr>
-        </thead>
-        <tbody>
-          {viewNames(dataset).map((name, view) => (
-            <tr key={view}>
-              <td>{name}</td>
-              {["Width", "Height"].map((word, side) => (
-                <td key={word}>
-                  <input
-                    aria-label={`${word} of ${name}`}
-                    type="number"
-                    min={1}
-                    step={1}
-                    value={texts[view]?.[side] ?? ""}
-                    onInput={(event) => put(view, side, event.currentTarget.value)}
-                  />
-                </td>
-              ))}
-            </tr>
-          ))}
-        </tbody>
-      </table>
+      <PerView columns={SIDES} texts={texts} onText={put} />
       <Save change={sizes.some((size) => size !== null) ? { image_sizes: sizes } : null} />
     </>
   );

@@ -1,14 +1,15 @@
 /** Puts controls beside the remedies of findings, and gives them what they are about. */
 
 import type { ComponentChildren } from "preact";
+import { useState } from "preact/hooks";
 import type { Finding } from "../api/resources.ts";
 import { RemedySlot } from "../parts/remedy_slot.ts";
-import { REMEDIES } from "./registry.ts";
-import { SubjectContext, type Subject } from "./subject.ts";
+import { REMEDIES, type RemedyField } from "./registry.ts";
+import { SubjectContext, useSubject, type Subject } from "./subject.ts";
 
 export function Remediable({ subject, children }: { subject: Subject | null; children: ComponentChildren }) {
   if (subject === null) return <>{children}</>;
-  const controls = (finding: Finding) => <Controls fields={finding.remedy_fields ?? []} ofFit={subject.fit !== null} />;
+  const controls = (finding: Finding) => <Controls fields={finding.remedy_fields ?? []} />;
   return (
     <SubjectContext.Provider value={subject}>
       <RemedySlot.Provider value={controls}>{children}</RemedySlot.Provider>
@@ -16,20 +17,29 @@ export function Remediable({ subject, children }: { subject: Subject | null; chi
   );
 }
 
-/** @param ofFit whether there is a fit to be made again */
-export function Controls({ fields, ofFit }: { fields: readonly string[]; ofFit: boolean }) {
+export function Controls({ fields }: { fields: readonly RemedyField[] }) {
+  const subject = useSubject();
   return (
     <>
-      {fields.map((field) => {
-        const remedy = REMEDIES[field];
-        if (remedy === undefined || (remedy.ofFit && !ofFit)) return null;
-        return (
-          <details class="remedy-control" key={field}>
-            <summary>{remedy.words}</summary>
-            <remedy.Control />
-          </details>
-        );
-      })}
+      {fields
+        .map((field) => REMEDIES[field])
+        .filter(({ suits }) => suits(subject))
+        .map(({ words, Control }) => (
+          <Folded key={words} words={words}>
+            <Control />
+          </Folded>
+        ))}
     </>
+  );
+}
+
+/** A control behind words that open it, made when they are first opened. */
+export function Folded({ words, children }: { words: string; children: ComponentChildren }) {
+  const [opened, setOpened] = useState(false);
+  return (
+    <details class="remedy-control" onToggle={(event) => event.currentTarget.open && setOpened(true)}>
+      <summary>{words}</summary>
+      {opened && children}
+    </details>
   );
 }

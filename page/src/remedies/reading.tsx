@@ -1,7 +1,8 @@
 /** How files of detectors are to be read: a control for each option that a reader asks for. */
 
-import { useEffect, useState } from "preact/hooks";
-import { listSkeletons, type KnownSkeleton } from "../api/resources.ts";
+import { currentRoute } from "../route.ts";
+import { Choice } from "./choice.tsx";
+import { choicesOf, useKnownSkeletons } from "./known_skeletons.ts";
 
 /** Options by the names of the form's fields, as they were typed; empty ones are left out. */
 export type Reading = Readonly<Record<string, string>>;
@@ -9,7 +10,7 @@ export type Reading = Readonly<Record<string, string>>;
 interface Option {
   label: string;
   hint: string;
-  choices?: [string, string][]; // values and their words, the first of which is what happens anyway
+  choices?: Readonly<Record<string, string>>; // words of values; what happens anyway has none
 }
 
 /** A test holds their names against those that the service knows. */
@@ -21,11 +22,7 @@ export const READING: Record<string, Option> = {
   align: {
     label: "What belongs together",
     hint: "in time",
-    choices: [
-      ["auto", "found out"],
-      ["index", "frames of the same number"],
-      ["time", "frames of the nearest time"],
-    ],
+    choices: { "": "found out", index: "frames of the same number", time: "frames of the nearest time" },
   },
   table_columns: { label: "Columns of the table", hint: "such as x={}_x,y={}_y,frame=No" },
   cameras: { label: "Cameras", hint: "which views are wanted, in their order: cam1,cam2" },
@@ -33,13 +30,15 @@ export const READING: Record<string, Option> = {
   y: {
     label: "y counts",
     hint: "from the upper or the lower edge of the image",
-    choices: [
-      ["down", "down, as in images"],
-      ["up", "up"],
-    ],
+    choices: { "": "down, as in images", up: "up" },
   },
   mirror: { label: "Mirrored views", hint: "which views show mirror images, such as cam2" },
 };
+
+/** Returns the options that a link to the form has given. */
+export function readingInAddress(): Reading {
+  return Object.fromEntries([...currentRoute().query].filter(([field]) => field in READING));
+}
 
 interface Props {
   fields: readonly string[]; // those that are shown; others are ignored
@@ -56,23 +55,16 @@ export function ReadingControls({ fields, reading, keypoints, onChange }: Props)
       <legend class="unseen">How the files are read</legend>
       {shown.map(([field, { label, hint, choices }]) => {
         const named = { value: reading[field] ?? "", "aria-label": label };
-        const put = (event: { currentTarget: { value: string } }) =>
-          onChange({ ...reading, [field]: event.currentTarget.value });
+        const put = (value: string) => onChange({ ...reading, [field]: value });
         return (
           <label key={field}>
             {label} <small class="quiet">{hint}</small>
             {field === "skeleton_name" ? (
               <SkeletonChoice {...named} keypoints={keypoints} onChange={put} />
             ) : choices !== undefined ? (
-              <select {...named} onChange={put}>
-                {choices.map(([value, words], index) => (
-                  <option key={value} value={index === 0 ? "" : value}>
-                    {words}
-                  </option>
-                ))}
-              </select>
+              <Choice {...named} choices={Object.entries(choices)} onChange={put} />
             ) : (
-              <input {...named} maxLength={1000} onChange={put} />
+              <input {...named} maxLength={1000} onChange={(event) => put(event.currentTarget.value)} />
             )}
           </label>
         );
@@ -85,27 +77,13 @@ interface ChoiceProps {
   value: string;
   "aria-label": string;
   keypoints: number | null;
-  onChange: (event: { currentTarget: { value: string } }) => void;
+  onChange: (name: string) => void;
 }
 
 /** The ready skeletons of so many keypoints, or all if that is not known. */
 function SkeletonChoice({ keypoints, ...named }: ChoiceProps) {
-  const [known, setKnown] = useState<KnownSkeleton[]>([]);
-  useEffect(() => {
-    listSkeletons().then(
-      ({ items }) => setKnown(items),
-      () => {}, // files can be stored without names
-    );
-  }, []);
-  const fitting = known.filter(({ keypoint_names: names }) => keypoints === null || names.length === keypoints);
-  return (
-    <select {...named}>
-      <option value="">none</option>
-      {fitting.map(({ name, title, keypoint_names: names }) => (
-        <option key={name} value={name}>
-          {title} ({names.length})
-        </option>
-      ))}
-    </select>
+  const fitting = useKnownSkeletons().filter(
+    ({ keypoint_names: names }) => keypoints === null || names.length === keypoints,
   );
+  return <Choice {...named} choices={[["", "none"], ...choicesOf(fitting)]} />;
 }

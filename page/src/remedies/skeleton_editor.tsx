@@ -1,12 +1,14 @@
 /** Names the keypoints of a dataset, and draws what joins them. */
 
 import { useEffect, useMemo, useState } from "preact/hooks";
-import { changeDataset, listSkeletons, readDataset, type Dataset, type KnownSkeleton } from "../api/resources.ts";
+import { changeDataset, readDataset, type Dataset, type KnownSkeleton } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { count } from "../parts/format.ts";
 import { constantEdges } from "../science/constant_edges.ts";
 import { sidesOf } from "../science/sides.ts";
+import { Choice } from "./choice.tsx";
 import { JointPicture } from "./joint_picture.tsx";
+import { choicesOf, useKnownSkeletons } from "./known_skeletons.ts";
 import {
   draftOf,
   joined,
@@ -30,7 +32,7 @@ const HINTS: Record<Mode, string> = {
 
 /** @param onDone called after the skeleton was stored */
 export function SkeletonEditor({ onDone }: { onDone: (dataset: Dataset) => void }) {
-  const { dataset, take, picture } = useSubject();
+  const { dataset, take, picture, onEdges } = useSubject();
   const [steps, setSteps] = useState<Draft[]>([]); // the last one is shown, those before can be had back
   const [tag, setTag] = useState<string | null>(null);
   const [mode, setMode] = useState<Mode>("edges");
@@ -49,6 +51,8 @@ export function SkeletonEditor({ onDone }: { onDone: (dataset: Dataset) => void 
   }, [dataset.id]);
 
   const draft = steps.at(-1);
+  useEffect(() => onEdges(draft === undefined ? null : { edges: draft.edges, offered: false }), [draft, onEdges]);
+  useEffect(() => () => onEdges(null), [onEdges]);
   if (draft === undefined) return trouble === null ? <p class="quiet">Loading …</p> : <Alert>{trouble}</Alert>;
   const change = (next: Draft) => setSteps([...steps, next]);
   const click = (keypoint: number) => {
@@ -122,35 +126,19 @@ export function SkeletonEditor({ onDone }: { onDone: (dataset: Dataset) => void 
 
 /** The ready skeletons that fit a draft. */
 function Ready({ draft, onChoose }: { draft: Draft; onChoose: (draft: Draft) => void }) {
-  const [known, setKnown] = useState<KnownSkeleton[]>([]);
-  useEffect(() => {
-    listSkeletons().then(
-      ({ items }) => setKnown(items),
-      () => {}, // one can draw without them
-    );
-  }, []);
-  const fitting = known.flatMap((each): [KnownSkeleton, Draft][] => {
+  const fitting = useKnownSkeletons().flatMap((each): [KnownSkeleton, Draft][] => {
     const next = like(draft, each);
     return next === null ? [] : [[each, next]];
   });
   if (fitting.length === 0) return null;
+  const choose = (wanted: string) => {
+    const chosen = fitting.find(([{ name }]) => name === wanted);
+    if (chosen !== undefined) onChoose(chosen[1]);
+  };
   return (
     <label>
       A ready skeleton{" "}
-      <select
-        value=""
-        onChange={(event) => {
-          const chosen = fitting.find(([{ name }]) => name === event.currentTarget.value);
-          if (chosen !== undefined) onChoose(chosen[1]);
-        }}
-      >
-        <option value="">choose …</option>
-        {fitting.map(([{ name, title, keypoint_names: names }]) => (
-          <option key={name} value={name}>
-            {title} ({names.length})
-          </option>
-        ))}
-      </select>
+      <Choice value="" choices={[["", "choose …"], ...choicesOf(fitting.map(([each]) => each))]} onChange={choose} />
     </label>
   );
 }

@@ -1,6 +1,6 @@
 /** Names and edges of the keypoints: what there is, edges that were found, and the editor. */
 
-import { useMemo, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
 import { changeDataset, type Dataset } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { count } from "../parts/format.ts";
@@ -42,10 +42,14 @@ export function SkeletonPanel({ onSaved }: { onSaved: (dataset: Dataset) => void
 
 /** Edges that were found from constant lengths: dashed, until they are accepted. */
 function Offer({ found, onDone }: { found: FoundEdge[]; onDone: (dataset: Dataset) => void }) {
-  const { dataset, picture } = useSubject();
+  const { dataset, picture, onEdges } = useSubject();
   const { busy, trouble, attempt } = useAttempt();
   const names = keypointNames(dataset);
-  const edges = found.map(({ edge }) => edge);
+  const edges = useMemo(() => found.map(({ edge }) => edge), [found]);
+  useEffect(() => {
+    onEdges({ edges, offered: true });
+    return () => onEdges(null);
+  }, [edges, onEdges]);
   const keep = () =>
     attempt(async () => {
       const skeleton = { keypoint_names: dataset.skeleton?.keypoint_names ?? null, edges };

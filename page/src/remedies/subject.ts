@@ -6,6 +6,15 @@ import type { Dataset, Fit } from "../api/resources.ts";
 import { numbered } from "../data/capture.ts";
 import type { Take } from "../data/take.ts";
 import type { Drawn } from "../datasets/preview.ts";
+import type { Joined } from "../result/show.ts";
+
+/** How frames are lifted, as far as that can be chosen where they are shown. */
+export interface Lifting {
+  frame?: "room" | "canonical"; // of reference
+  refine?: "auto" | "off" | "full" | null; // null: as the fit was given it
+  views?: readonly number[]; // of the model, which those of the frames are, in their order
+  up?: readonly number[]; // a direction in the room without it; else up is estimated
+}
 
 export interface Subject {
   dataset: Dataset;
@@ -13,7 +22,18 @@ export interface Subject {
   take: Take | null; // the result of the fit, as far as it is there
   picture: Drawn | null; // a frame of all views, in which keypoints can be clicked
   selected: number | null; // the keypoint that was clicked elsewhere on the screen
+  model: string | null; // that a fit can start from
+  lifting: Lifting; // what is left out cannot be chosen
   onDataset(dataset: Dataset): void;
+  onLifting(change: Lifting): void;
+  onEdges(joined: Joined | null): void; // where the structure is shown, if it is
+}
+
+/** Returns a dataset as a subject, of which nothing else is known. */
+export function subjectOf(dataset: Dataset, onDataset: Subject["onDataset"]): Subject {
+  const nothing = () => {};
+  const unknown = { fit: null, take: null, picture: null, selected: null, model: null, lifting: {} };
+  return { dataset, ...unknown, onDataset, onLifting: nothing, onEdges: nothing };
 }
 
 export const SubjectContext = createContext<Subject | null>(null);

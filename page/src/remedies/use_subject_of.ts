@@ -4,23 +4,23 @@ import { useEffect, useState } from "preact/hooks";
 import { getDataset, type Dataset, type Fit } from "../api/resources.ts";
 import type { CaptureFile } from "../data/capture.ts";
 import { remoteCapture } from "../data/remote.ts";
-import type { Take } from "../data/take.ts";
 import { fullestFrame, type Drawn } from "../datasets/preview.ts";
-import type { Subject } from "./subject.ts";
+import { subjectOf, type Subject } from "./subject.ts";
 
-interface Shown {
-  take?: Take;
+/** What is shown of a result. */
+interface Shown extends Partial<Pick<Subject, "take" | "selected" | "lifting" | "onLifting" | "onEdges">> {
   file?: CaptureFile; // of the dataset, if it is open already
-  selected?: number | null;
 }
 
+const nothing = () => {};
+
 /** Returns the subject of a fit's remedies; null until its dataset is there, or if it was deleted. */
-export function useSubjectOf(fit: Fit, { take, file, selected = null }: Shown = {}): Subject | null {
+export function useSubjectOf(fit: Fit, { file, ...shown }: Shown = {}): Subject | null {
   const [dataset, setDataset] = useState<Dataset | null>(null);
   const [picture, setPicture] = useState<Drawn | null>(null);
   useEffect(() => {
     let current = true;
-    const nothing = () => {}; // the words do without
+    // The words do without.
     getDataset(fit.dataset_id).then((found) => current && setDataset(found), nothing);
     const opened = file === undefined ? remoteCapture(fit.dataset_id) : Promise.resolve(file);
     opened.then(fullestFrame).then((frame) => current && setPicture(frame), nothing);
@@ -29,5 +29,5 @@ export function useSubjectOf(fit: Fit, { take, file, selected = null }: Shown = 
     };
   }, [fit.dataset_id, file]);
   if (dataset === null) return null;
-  return { dataset, fit, take: take ?? null, picture, selected, onDataset: setDataset };
+  return { ...subjectOf(dataset, setDataset), fit, model: fit.model_id ?? null, picture, ...shown };
 }

@@ -20,11 +20,10 @@ const ANIMATIONS = [
 ] as const;
 
 export function Exports({ stage }: { stage: Stage | null }) {
-  const { fit, model, cameras, take } = useShow();
+  const { fit, model, cameras, take, query: room } = useShow();
   const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
   const [range, setRange] = useState({ first: "", last: "" });
   const { slice, part } = sliceOf(range, take.frames);
-  const room = { level: "&frame=room&up=auto", camera: "&frame=room", view: "" }[take.frame];
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
     const query = `format=${format}${room}${slice}${unit === "" ? "" : `&unit=${unit}`}`;
     return [label, `fits/${fit.id}/animation?${query}`, `${fit.id}${part}${suffix}`];

@@ -3,7 +3,7 @@
 import type { Ref } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
-import { loadResult, Unplayable, type Result } from "../data/loading.ts";
+import { loadResult, Unplayable, type Axes, type Result } from "../data/loading.ts";
 import { Downloads } from "../parts/downloads.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { frameInAddress } from "../route.ts";
@@ -13,7 +13,7 @@ import { Workspace } from "./workspace.tsx";
 
 export default function ResultScreen({ fit }: { fit: Fit }) {
   const [result, setResult] = useState<Result | null>(null);
-  const [loads, setLoads] = useState(0); // times that it was loaded again
+  const [wanted, setWanted] = useState<Wanted>({ first: frameInAddress(), axes: {} });
   const placeholder = useRef<HTMLElement>(null);
   const [trouble, setTrouble] = useState<Error | null>(null);
   useEffect(() => {
@@ -21,7 +21,7 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     setResult(null);
     setTrouble(null);
     const prepare = () => placeholder.current !== null && prepareRenderer(placeholder.current);
-    loadResult(fit, frameInAddress(), () => setTimeout(prepare)).then(
+    loadResult(fit, wanted.first, wanted.axes, () => setTimeout(prepare)).then(
       (loaded) => current && setResult(loaded),
       (error: Error) => current && setTrouble(error),
     );
@@ -29,7 +29,7 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
       current = false;
     };
     // eslint-disable-next-line react-hooks/exhaustive-deps -- what changes of a fit that succeeded is its name
-  }, [fit.id, loads]);
+  }, [fit.id, wanted]);
   if (trouble instanceof Unplayable) return <Remains fit={fit} why={trouble.message} />;
   if (trouble !== null) {
     return (
@@ -41,7 +41,14 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     );
   }
   if (result === null) return <Placeholder stage={placeholder} />;
-  return <Workspace fit={fit} result={result} onSkeleton={() => setLoads(loads + 1)} />;
+  const again = (first: number, axes = wanted.axes) => setWanted({ first, axes });
+  return <Workspace fit={fit} result={result} first={wanted.first} onAgain={again} />;
+}
+
+/** What is loaded; another object has it loaded again. */
+interface Wanted {
+  first: number; // frame that is shown
+  axes: Axes;
 }
 
 /** What is left of a result that cannot be played, to be saved. */

@@ -12,6 +12,12 @@ import type { Loop } from "./loop.ts";
 import type { Player } from "./player.ts";
 import type { Selection } from "./selection.ts";
 
+/** Edges that are drawn in the place of the skeleton's: some that are being drawn, or some that are offered. */
+export interface Joined {
+  edges: readonly (readonly [number, number])[];
+  offered: boolean;
+}
+
 /** Structures, whether they are stored or come just now. */
 export interface Shown extends Selection {
   config: Model["config"];
@@ -22,6 +28,7 @@ export interface Shown extends Selection {
   posed: boolean[]; // views that have a perspective pose in some frame
   version: number; // of the take: it rises as frames come
   done: boolean; // whether all frames are there
+  joined: Joined | null; // null: the edges are those of the skeleton
   through: number | null; // view
   lookThrough(view: number | null): void;
 }
@@ -40,6 +47,8 @@ export interface Show extends Shown {
   model: Model;
   cameras: ModelCameras;
   file: CaptureFile;
+  query: string; // of the frame of reference, for what is asked of the service
+  join(joined: Joined | null): void;
   means: Float32Array; // (N,) pixels
   findings: Finding[]; // of the fit and of its frames
   worst: number[]; // frames, the worst first

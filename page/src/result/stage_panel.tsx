@@ -38,7 +38,7 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
   const labels = useRef<HTMLDivElement>(null);
   const [stage, setStage] = useState<Stage | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
-  const { take, player, loop, theme, selected, select, through, lookThrough } = show;
+  const { take, player, loop, theme, selected, select, through, lookThrough, joined } = show;
 
   useEffect(() => {
     if (holder.current === null) return undefined;
@@ -70,8 +70,9 @@ export function StagePanel({ onStage, extent, overlay = null, title, plain = fal
 
   useEffect(() => {
     stage?.lookThrough(through);
+    stage?.join(joined);
     stage?.paint(theme, selected);
-  }, [stage, theme, selected, through]);
+  }, [stage, theme, selected, through, joined]);
 
   useEffect(() => {
     if (stage === null) return undefined;

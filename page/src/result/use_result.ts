@@ -6,7 +6,7 @@ import { rateOf } from "../data/capture.ts";
 import type { Result } from "../data/loading.ts";
 import { ALL } from "../data/take.ts";
 import { onThemeChange, readTheme } from "../parts/theme.ts";
-import { currentRoute, frameInAddress } from "../route.ts";
+import { currentRoute } from "../route.ts";
 import { frameErrors, keypointErrors } from "../science/errors.ts";
 import { frameFindings, rangesOf } from "../science/frame_findings.ts";
 import { WEAK } from "../science/projection.ts";
@@ -16,23 +16,26 @@ import { createLoop } from "./loop.ts";
 import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useSelection } from "./selection.ts";
-import type { Overlay, Show } from "./show.ts";
+import type { Joined, Overlay, Show } from "./show.ts";
 
 const WORST = 10; // frames that are marked
 const PAUSE_MS = 250; // between two drawings of what has come
 
-export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
-  const { take, model, cameras, file, loader } = result;
+/** @param first frame that is shown */
+export function useResult(fit: Fit, result: Result, first: number, stage: Stage | null): Show {
+  const { take, model, cameras, file, loader, query } = result;
   const [theme, setTheme] = useState(readTheme);
   const selection = useSelection();
   const [through, setThrough] = useState<number | null>(null);
-  const player = useMemo(() => createPlayer(take.frames, rateOf(take).rate, frameInAddress()), [take]);
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the first frame is that of the take
+  const player = useMemo(() => createPlayer(take.frames, rateOf(take).rate, first), [take]);
   const loop = useMemo(() => createLoop(player), [player]);
   const { version, done, trouble } = useFrames(loader, player);
   // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const means = useMemo(() => frameErrors(take), [take, version]);
   const worst = useMemo(() => worstFrames(means, WORST, Math.max(5, take.frames / 60)), [means, take]);
   const [overlay, setOverlay] = useState<Overlay | null>(null);
+  const [joined, join] = useState<Joined | null>(null);
   // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const posed = useMemo(() => posedViews(take), [take, version]);
   const lookThrough = useCallback(
@@ -68,6 +71,7 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
       cameras,
       take,
       file,
+      query,
       player,
       loop,
       theme,
@@ -78,7 +82,7 @@ export function useResult(fit: Fit, result: Result, stage: Stage | null): Show {
       errorsDone,
     },
     ...selection,
-    ...{ through, lookThrough, posed, overlay, setOverlay, version, done, trouble },
+    ...{ through, lookThrough, posed, overlay, setOverlay, joined, join, version, done, trouble },
   };
 }
 

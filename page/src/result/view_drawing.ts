@@ -8,6 +8,7 @@ import { OUTLIER } from "../science/errors.ts";
 import { pairAt } from "../science/pairs.ts";
 import { project } from "../science/projection.ts";
 import type { Part } from "./crop.ts";
+import type { Joined } from "./show.ts";
 
 export interface ViewDrawing {
   draw(
@@ -28,8 +29,8 @@ const RING = 6;
 const ARM = 3.6;
 const SIDES = [-1, 0, 1];
 
-export function createViewDrawing(take: Take, view: number): ViewDrawing {
-  const { keypoints, views, edges } = take;
+export function createViewDrawing(take: Take, view: number, edges: Joined["edges"]): ViewDrawing {
+  const { keypoints, views } = take;
   const projected = new Float32Array(2 * keypoints).fill(NaN); // pixels of the canvas, as the next
   const detected = new Float32Array(2 * keypoints).fill(NaN);
   const kinds = new Int8Array(keypoints);
@@ -104,7 +105,7 @@ function drawImage(
 function drawStructure(
   context: CanvasRenderingContext2D,
   pixels: Float32Array,
-  edges: Take["edges"],
+  edges: Joined["edges"],
   theme: Theme,
   ratio: number,
 ): void {

@@ -12,10 +12,11 @@ import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done } = useShown();
+  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done, joined } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
-  const drawing = useMemo(() => createViewDrawing(take, view), [take, view]);
+  const edges = joined?.edges ?? take.edges;
+  const drawing = useMemo(() => createViewDrawing(take, view, edges), [take, view, edges]);
   // eslint-disable-next-line react-hooks/exhaustive-deps -- the part follows what is detected, which comes by and by
   const partOf = useMemo(() => partsOf(take, view, crop), [take, view, crop, done]);
   const [film, setFilm] = useState<Film | null>(null);

@@ -3,7 +3,7 @@
 import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
-import type { Result } from "../data/loading.ts";
+import type { Axes, Result } from "../data/loading.ts";
 import { FindingList } from "../parts/finding_list.tsx";
 import { Verdict } from "../parts/verdict.tsx";
 import { Closer } from "./closer/closer.tsx";
@@ -14,6 +14,7 @@ import { Figures } from "./figures.tsx";
 import { Labels } from "./labels.tsx";
 import { Legend } from "./legend.tsx";
 import type { Stage } from "./scene/scene.ts";
+import { KnownPanel } from "../remedies/known_panel.tsx";
 import { Remediable } from "../remedies/provider.tsx";
 import { SkeletonPanel } from "../remedies/skeleton_panel.tsx";
 import { useSubjectOf } from "../remedies/use_subject_of.ts";
@@ -24,13 +25,23 @@ import { TwoStages } from "./two_stages.tsx";
 import { useResult } from "./use_result.ts";
 import { ViewPanel } from "./view_panel.tsx";
 
-/** @param onSkeleton called after the dataset got another skeleton */
-export function Workspace({ fit, result, onSkeleton }: { fit: Fit; result: Result; onSkeleton: () => void }) {
+interface Props {
+  fit: Fit;
+  result: Result;
+  first: number; // frame that is shown
+  onAgain: (first: number, axes?: Axes) => void; // has the result loaded again
+}
+
+export function Workspace({ fit, result, first, onAgain }: Props) {
   const [stage, setStage] = useState<Stage | null>(null);
   const [crop, setCrop] = useState<Crop>("subject");
-  const show = useResult(fit, result, stage);
+  const show = useResult(fit, result, first, stage);
   const { take, player, findings } = show;
-  const subject = useSubjectOf(fit, { take, file: show.file, selected: show.selected.at(-1) ?? null });
+  const subject = useSubjectOf(fit, {
+    ...{ take, file: show.file, selected: show.selected.at(-1) ?? null, onEdges: show.join },
+    lifting: { frame: take.frame === "view" ? "canonical" : "room" },
+    onLifting: (axes) => onAgain(player.frame, axes),
+  });
   return (
     <Both show={show}>
       <div class="result" aria-busy={!show.done}>
@@ -66,7 +77,8 @@ export function Workspace({ fit, result, onSkeleton }: { fit: Fit; result: Resul
             </section>
             {subject !== null && (
               <Remediable subject={subject}>
-                <SkeletonPanel onSaved={onSkeleton} />
+                <SkeletonPanel onSaved={() => onAgain(player.frame)} />
+                <KnownPanel />
               </Remediable>
             )}
           </div>

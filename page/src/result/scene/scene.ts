@@ -6,6 +6,7 @@ import { keepSize, pixelRatio, resize } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, usualStep } from "../../science/extent.ts";
 import type { Numbers } from "../../science/numbers.ts";
+import type { Joined } from "../show.ts";
 import { createParts, type Extent } from "./parts.ts";
 import { placesOf } from "./picking.ts";
 import { takeRenderer } from "./renderer.ts";
@@ -28,6 +29,8 @@ export interface Stage extends Viewpoint {
    * not. */
   keypointPlaces(): Float32Array;
   showTrails(shown: boolean): void;
+  /** Draws other edges than the skeleton's, or these again; to be painted after it. */
+  join(joined: Joined | null): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
   overlay(points: Numbers | null): void;
   close(): void;
@@ -91,6 +94,10 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     showTrails(shown) {
       trails.lines.visible = shown;
       spoil();
+    },
+    join(joined) {
+      skeleton.join(joined);
+      ghost.join(joined);
     },
     overlay(points) {
       others = points;

@@ -4,6 +4,7 @@ import { Color, CylinderGeometry, DynamicDrawUsage, Group, IcosahedronGeometry, 
 import type { Take } from "../../data/take.ts";
 import { colourOf, type Theme } from "../../parts/theme.ts";
 import type { Numbers } from "../../science/numbers.ts";
+import type { Joined } from "../show.ts";
 import { litMaterial } from "./lit_material.ts";
 
 const GHOST = 0.3; // opacity
@@ -13,25 +14,36 @@ export interface Skeleton {
   group: Group;
   show(frame: number, points: Numbers): void;
   paint(theme: Theme, selected: readonly number[]): void;
+  /** Draws other edges, until it is called with null; those that are offered stand out. Paint after it. */
+  join(joined: Joined | null): void;
 }
 
 /** @param size radius of a joint, in the unit of the points
  * @param ghost whether it is another's structure, which is drawn as a pale hull */
 export function createSkeleton(take: Take, size: number, ghost = false): Skeleton {
-  const { keypoints, edges, sides } = take;
+  const { keypoints, sides } = take;
   const material = litMaterial(ghost ? GHOST : 1);
-  const joints = new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints);
-  const bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 10, 1, true), material, edges.length);
-  for (const mesh of [joints, bones]) {
-    mesh.instanceMatrix.setUsage(DynamicDrawUsage);
-    mesh.frustumCulled = false;
-  }
+  const cylinder = new CylinderGeometry(1, 1, 1, 10, 1, true);
+  const joints = changing(new InstancedMesh(new IcosahedronGeometry(1, 2), material, keypoints));
   const group = new Group().add(joints);
-  if (edges.length > 0) group.add(bones);
+  let joined: Joined = { edges: take.edges, offered: false };
+  let bones = bonesOf(joined);
   let chosen: readonly number[] = [];
+
+  function bonesOf({ edges }: Joined): InstancedMesh {
+    const made = changing(new InstancedMesh(cylinder, material, edges.length));
+    if (edges.length > 0) group.add(made);
+    return made;
+  }
 
   return {
     group,
+    join(other) {
+      group.remove(bones);
+      bones.dispose();
+      joined = other ?? { edges: take.edges, offered: false };
+      bones = bonesOf(joined);
+    },
     show(frame, points) {
       const first = 3 * keypoints * frame;
       const spheres = joints.instanceMatrix.array;
@@ -40,7 +52,7 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
         writeSphere(spheres, 16 * keypoint, points, first + 3 * keypoint, radius);
       }
       const cylinders = bones.instanceMatrix.array;
-      edges.forEach(([a, b], edge) => {
+      joined.edges.forEach(([a, b], edge) => {
         writeCylinder(cylinders, 16 * edge, points, first + 3 * a, first + 3 * b, BONE * size);
       });
       joints.instanceMatrix.needsUpdate = bones.instanceMatrix.needsUpdate = true;
@@ -53,15 +65,22 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
         const name = selected.includes(keypoint) ? theme.accent : plain;
         joints.setColorAt(keypoint, colour.set(name));
       }
-      edges.forEach(([a, b], edge) => {
+      joined.edges.forEach(([a, b], edge) => {
         const side = sides[a]! || sides[b]!; // a bone from the trunk belongs to its limb
-        bones.setColorAt(edge, colour.set(ghost ? theme.accent : colourOf(theme, side)));
+        bones.setColorAt(edge, colour.set(ghost || joined.offered ? theme.accent : colourOf(theme, side)));
       });
       for (const mesh of [joints, bones]) {
         if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
       }
     },
   };
+}
+
+/** Prepares instances that are elsewhere in each frame. */
+function changing(mesh: InstancedMesh): InstancedMesh {
+  mesh.instanceMatrix.setUsage(DynamicDrawUsage);
+  mesh.frustumCulled = false;
+  return mesh;
 }
 
 /** Writes the matrix of a sphere; one without a place has no size. */
