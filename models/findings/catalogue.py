@@ -188,8 +188,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "The keypoints hardly determine the focal length (a far or flat subject, or few frames). It"
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
-        "Give the focal length (`calibration`), set `cameras_alike: true` if the lenses are alike, or"
-        " film the subject nearer and in more places.",
+        "Give the focal length (`calibration`), set `cameras_alike: true` if the lenses are alike,"
+        " or film the subject nearer and in more places.",
     ),
     "lenses_limit_accuracy": Entry(
         "warning",

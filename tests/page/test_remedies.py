@@ -44,12 +44,13 @@ def test_edges_that_were_found_are_dashed_until_they_are_accepted(
     expect(panel.get_by_text("nothing joins them")).to_be_visible()
     expect(panel.locator("line.offered").first).to_be_visible()
     stage = page.get_by_role("img", name="3D structure")
-    assert accented(stage) > 200  # they are there in 3D, too
+    offered = accented(stage)
+    assert offered > 1000  # they are there in 3D, too
     panel.get_by_role("button", name="Draw these edges").click()
     expect(panel.get_by_text("nothing joins them")).to_have_count(0)
     expect(panel.locator("line.offered")).to_have_count(0)
     expect(stage).to_be_visible()
-    assert accented(stage) < 20
+    assert accented(stage) < offered / 2  # of controls
     found = {tuple(sorted(edge)) for edge in skeleton_of(live, unnamed)["edges"]}
     assert len(found) >= 12  # of 16 keypoints
     assert len({end for edge in found for end in edge}) >= 13

@@ -60,7 +60,9 @@ def test_every_field_of_a_remedy_has_an_option_or_is_a_fit_s() -> None:
 
 def test_every_field_of_a_remedy_has_a_control_on_the_page() -> None:
     text = REGISTRY.read_text()
-    registered = set(re.findall(r"^  (\w+): \{", text[text.index("const REMEDIES") :], re.MULTILINE))
+    registered = set(
+        re.findall(r"^  (\w+): \{", text[text.index("const REMEDIES") :], re.MULTILINE)
+    )
     assert registered == set(get_args(RemedyField.__value__))
 
 
