@@ -39,7 +39,7 @@ from service.http.preconditions import describe_preconditions
 from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.safe_headers import SafeHeaders
-from service.http.turns import Places, Threads, Turns
+from service.http.turns import InHand, Places, Threads, Turns
 from service.http.websockets import WebSocketConnection
 from service.page.documentation import serve_documentation
 from service.page.serving import serve_page
@@ -113,6 +113,10 @@ QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the
 # Files of detectors that are read beside as many as there may be large uploads: reading may take
 # minutes, and this many slow ones keep no other waiting. Each takes `reading_apart.MEMORY` at most.
 SPARE_READERS = 2
+
+# Endpoints, and pieces of downloads, that are worked on at a time. A process has 40 threads for
+# them and others, and 20 connections to the records: one key with three quarters leaves some.
+ENDPOINTS = 24
 
 # New lists and objects before each of Python's searches for garbage: JSON of a large capture is
 # millions of lists, and with Python's own thresholds parsing it takes twice as long.
@@ -199,6 +203,7 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
         max_pending_bytes=settings.resolved_pending_bytes,
         seconds=settings.request_seconds,
     )
+    app.add_middleware(InHand, most=settings.max_requests)
     app.add_middleware(Head)
     app.add_middleware(Authentication, settings=settings, owner=app.state.local_owner)
     if settings.allowed_origins:
@@ -243,6 +248,7 @@ def _set_bounds(app: FastAPI, settings: Settings) -> None:
     large = settings.large_at_a_time
     app.state.large_uploads = Turns(large)
     app.state.readers = Turns(large + SPARE_READERS, reserving=True)
+    app.state.endpoints = Turns(ENDPOINTS, reserving=True)
     app.state.calculations = Turns(large)
     app.state.large_lifts = Turns(large)
     # As many again are for small ones, which do not wait for large ones.

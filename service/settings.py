@@ -106,6 +106,12 @@ class Settings(WorkerSettings):
     )
     max_views: int = Field(16, ge=1, le=MAX_VIEWS, description="Most views in a capture.")
     max_keypoints: int = Field(256, ge=4, le=MAX_KEYPOINTS, description="Most keypoints in a view.")
+    max_requests: int = Field(
+        2048,
+        ge=8,
+        description="Requests in hand at a time, from head to end of the answer; one more is "
+        "refused with 503.",
+    )
     max_queued_fits: int = Field(
         1000, ge=1, description="Fits that may wait at a time; POST /fits answers 429 beyond that."
     )
@@ -205,6 +211,7 @@ class Settings(WorkerSettings):
         whole = {
             "max_pending_bytes": self.resolved_pending_bytes,
             "large_at_a_time": self.large_at_a_time,
+            "max_requests": self.max_requests,
             "max_streams": self.max_streams,
             "max_event_streams": self.max_event_streams,
             "lift_threads": self.lift_threads,

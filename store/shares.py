@@ -9,10 +9,11 @@ nothing may take whatever is free.
 Where no key is in force there is one user alone, who may have the whole.
 """
 
-from collections import Counter
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from store.records import Owned
+
+Name = TypeVar("Name", "Who", str)
 
 # In place of a key's identifier, where there is none: jobs that came by the queue.
 NO_KEY = ""
@@ -56,35 +57,40 @@ class Shares:
     def __init__(self, whole: int) -> None:
         """Begin with the whole free."""
         self.whole = self.free = whole
-        self._of_keys: Counter[Who] = Counter()
-        self._of_projects: Counter[str] = Counter()
+        self._of_keys: dict[Who, int] = {}
+        self._of_projects: dict[str, int] = {}
 
     def may_take(self, who: Who, count: int = 1) -> bool:
         """Return whether so much more is within the shares of a key and its project."""
         return is_within(
             count,
-            of_key=self._of_keys[who],
-            of_project=self._of_projects[who.project],
+            of_key=self._of_keys.get(who, 0),
+            of_project=self._of_projects.get(who.project, 0),
             free=self.free,
         )
 
     def take(self, who: Who, count: int = 1) -> None:
         """Note that a key has so much more."""
         self.free -= count
-        self._of_keys[who] += count
-        self._of_projects[who.project] += count
+        _add(self._of_keys, who, count)
+        _add(self._of_projects, who.project, count)
 
     def give_back(self, who: Who, count: int = 1) -> None:
         """Note that a key has so much less."""
         self.free += count
-        self._of_keys[who] -= count
-        self._of_projects[who.project] -= count
-        if not self._of_keys[who]:
-            del self._of_keys[who]
-        if not self._of_projects[who.project]:
-            del self._of_projects[who.project]
+        _add(self._of_keys, who, -count)
+        _add(self._of_projects, who.project, -count)
 
     def has_its_share(self, who: Who) -> bool:
         """Return whether the project has as much as each would have if all had equally much."""
         projects = len(self._of_projects.keys() | {who.project})
-        return self._of_projects[who.project] * projects >= self.whole - self.free > 0
+        return self._of_projects.get(who.project, 0) * projects >= self.whole - self.free > 0
+
+
+def _add(counts: dict[Name, int], name: Name, count: int) -> None:
+    """Change a count; what nobody has is left out."""
+    total = counts.get(name, 0) + count
+    if total:
+        counts[name] = total
+    else:
+        counts.pop(name, None)

@@ -3,6 +3,7 @@
 They are asynchronous because FastAPI runs all others in threads, which takes longer than they do.
 """
 
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import Depends, Header, Path, Request
@@ -15,6 +16,7 @@ from service.http.errors import ApiError, of_mistakes
 from service.http.keyring import caller_of
 from service.http.origins import refuse_foreign
 from service.http.preconditions import expected_by
+from service.http.turns import Turns
 from service.settings import Settings
 from store.database import Store
 from store.mistakes import MOST, Mistake, pointer, unknown
@@ -30,7 +32,21 @@ async def get_settings(request: Request) -> Settings:
     return settings
 
 
-async def get_store(request: HTTPConnection) -> Store:
+async def in_turn(request: HTTPConnection) -> AsyncIterator[None]:
+    """Have a turn until the endpoint has returned.
+
+    No key takes all threads of endpoints, or all connections to records and queues, from others.
+    What a request waits for besides, its body or another turn, is asked for before.
+    """
+    turns: Turns = request.app.state.endpoints
+    async with turns.turn(request):
+        yield
+
+
+InTurn = Annotated[None, Depends(in_turn, scope="function")]
+
+
+async def get_store(request: HTTPConnection, _turn: InTurn) -> Store:
     """Return the store as the caller sees it: the project of the key, and nothing else.
 
     Where the request has ``If-Match``, what changes its record compares that.
@@ -41,7 +57,7 @@ async def get_store(request: HTTPConnection) -> Store:
     return store.on_behalf_of(author, expected_by(request))
 
 
-async def get_redis(request: Request) -> Redis:
+async def get_redis(request: Request, _turn: InTurn) -> Redis:
     """Return the connection to the queues."""
     redis: Redis = request.app.state.redis
     return redis

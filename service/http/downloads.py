@@ -2,13 +2,15 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from itertools import chain, islice
 
 from fastapi import Request
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
 
 from service.http.errors import ApiError
+from service.http.turns import Turns
 
 _ONE_RANGE = re.compile(r"bytes=\s*([0-9]{0,18})-([0-9]{0,18})\s*")
 
@@ -71,7 +73,7 @@ def ranged_response(
     if isinstance(body, bytes):
         return Response(body, status_code, headers, media_type)
     headers["Content-Length"] = str(end - start)
-    return StreamingResponse(_begun(body), status_code, headers, media_type)
+    return StreamingResponse(_in_turns(request, _begun(body)), status_code, headers, media_type)
 
 
 def streamed_response(
@@ -85,7 +87,8 @@ def streamed_response(
     headers = _headers(None) | {"ETag": etag}
     if _is_known(request, etag):
         return Response(status_code=304, headers=headers)
-    return StreamingResponse(_begun(pieces), headers=headers, media_type=media_type)
+    in_turns = _in_turns(request, _begun(pieces))
+    return StreamingResponse(in_turns, headers=headers, media_type=media_type)
 
 
 def _is_known(request: Request, etag: str) -> bool:
@@ -101,6 +104,17 @@ def _begun(pieces: Iterator[bytes]) -> Iterator[bytes]:
     """Have errors of what is read first become problem details: the first piece may be a header."""
     first = list(islice(pieces, 2))
     return chain(first, pieces)
+
+
+async def _in_turns(request: Request, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    """Give pieces that are made one by one, as the client takes them, each in a turn."""
+    turns: Turns = request.app.state.endpoints
+    piece: bytes | None = b""
+    while piece is not None:
+        async with turns.turn(request, patient=True):
+            piece = await run_in_threadpool(next, pieces, None)
+        if piece:
+            yield piece
 
 
 def _headers(filename: str | None) -> dict[str, str]:

@@ -218,8 +218,7 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
     All can end in ``unauthorized``, ``forbidden``, ``quota_exceeded``,
     ``invalid_input`` (of a parameter at least), ``host_not_allowed``,
     ``head_too_large``, ``internal_error``, ``object_damaged``, ``records_damaged``,
-    ``storage_full``, ``unavailable``; those that read a body in ``overloaded``.
-    Where the whole may be used up, the share of a key may be, too.
+    ``storage_full``, ``unavailable``, ``overloaded``, ``share_exhausted``.
     """
     described: dict[int | str, dict[str, Any]] = {}
     of_all = (
@@ -234,9 +233,10 @@ def problems(*codes: str) -> dict[int | str, dict[str, Any]]:
         "records_damaged",
         "storage_full",
         "unavailable",
+        "overloaded",
+        "share_exhausted",
     )
-    shares = ("share_exhausted",) if "overloaded" in codes else ()
-    for code in dict.fromkeys((*codes, *shares, *of_all)):
+    for code in dict.fromkeys((*codes, *of_all)):
         status, title = PROBLEMS[code]
         entry = described.setdefault(
             status,

@@ -1,7 +1,8 @@
 """Places that clients have: a few at a time, in shares of projects and keys (`store.shares`).
 
-Who asks for a place that may be held for long is refused at once where there is none (`Places`);
-who has work that takes a moment waits for a turn (`Turns`).
+Who asks for a place that may be held for long is refused at once where there is none (`Places`), as
+every request is that comes while too many are in hand (`InHand`); who has work that takes a moment
+waits for a turn (`Turns`).
 """
 
 import asyncio
@@ -11,28 +12,35 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import NamedTuple, TypeVar
 
 from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.http.errors import ApiError
 from service.http.fair_queue import FairQueue
-from service.http.keyring import Keyring, caller_of
-from store.shares import Shares, Who
+from service.http.keyring import Caller, Keyring
+from store.shares import NO_KEY, Shares, Who
 
 LONGEST_WAIT = 10.0  # seconds
 RETRY_SECONDS = "5"
+STRANGERS = Who("", NO_KEY)  # who asks for what needs no key: no project has this name
 
 Result = TypeVar("Result")
 
 
 def who_asks(connection: HTTPConnection) -> Who:
     """Return whose share a request takes from."""
-    author = caller_of(connection).author
-    return Who(author.project, author.key_id)
+    caller: Caller | None = connection.scope["state"].get("caller")
+    if caller is None:
+        return STRANGERS
+    return Who(caller.author.project, caller.author.key_id)
 
 
 def is_shared(connection: HTTPConnection) -> bool:
-    """Return whether there are others, who may come at any time: keys that are in force."""
+    """Return whether there are others, who may come at any time: keys that are in force.
+
+    To who comes without a key, to ask how the service is or for the page, there always are.
+    """
     keyring: Keyring = connection.app.state.keyring
-    return keyring.is_shared
+    return keyring.is_shared or "caller" not in connection.scope["state"]
 
 
 def refused(shares: Shares, who: Who, *, shared: bool, whole: str, retry_seconds: str) -> ApiError:
@@ -70,12 +78,48 @@ class Places:
     @contextmanager
     def held(self, connection: HTTPConnection) -> Iterator[None]:
         """Hold a place, which was not refused just now."""
-        who = who_asks(connection)
-        self._shares.take(who)
+        who = self.take(connection)
         try:
             yield
         finally:
-            self._shares.give_back(who)
+            self.give_back(who)
+
+    def take(self, connection: HTTPConnection) -> Who:
+        """Take a place, which was not refused just now; return whose it is, to give it back."""
+        who = who_asks(connection)
+        self._shares.take(who)
+        return who
+
+    def give_back(self, who: Who) -> None:
+        """Give a place back."""
+        self._shares.give_back(who)
+
+
+class InHand:
+    """Refuses a request while those in hand have all places, or their key's or project's share.
+
+    A request holds its place from its head to the end of its answer, however slowly its body comes
+    or its answer is read.
+    """
+
+    def __init__(self, app: ASGIApp, most: int) -> None:
+        self._app, self._places = app, Places(most)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        connection = HTTPConnection(scope)
+        refusal = self._places.refusal(connection, "As many requests are in hand as may be.")
+        if refusal is not None:
+            await refusal.response()(scope, receive, send)
+            return
+        who = self._places.take(connection)
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._places.give_back(who)
 
 
 class _Waiting(NamedTuple):

@@ -45,7 +45,7 @@ register(
     operation_id="stream_lifts",
     status_code=101,
     response_class=Response,
-    responses=problems("upgrade_required", "origin_not_allowed", "overloaded")
+    responses=problems("upgrade_required", "origin_not_allowed")
     | {101: {"description": "The protocol is now WebSocket."}},
     openapi_extra={
         "x-websocket": {

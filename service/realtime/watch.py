@@ -42,7 +42,7 @@ async def list_lift_streams(request: Request) -> LiftStreams:
     "/{stream_id}/watch",
     status_code=101,
     response_class=Response,
-    responses=problems("not_found", "upgrade_required", "origin_not_allowed", "overloaded")
+    responses=problems("not_found", "upgrade_required", "origin_not_allowed")
     | {101: {"description": "The protocol is now WebSocket."}},
     openapi_extra={
         "x-websocket": {"server": messages("StreamState", "StreamEnded", "StreamError")}

@@ -43,7 +43,7 @@ async def take_turn(request: Request) -> AsyncIterator[None]:
     "/{fit_id}/animation",
     response_class=Response,
     dependencies=[Depends(take_turn, scope="function")],
-    responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
+    responses=problems("not_found", "conflict", "range_not_satisfiable")
     | file_responses("The structures as a file of the format.", OCTETS),
 )
 def download_animation(

@@ -147,11 +147,11 @@ def _add_events_route(
         "it, its id grows with every\nchange. Close the stream on `end`. Where it ends without "
         "one, the service stopped, the job was\ndeleted or the key is no longer in force: ask "
         "again with `Last-Event-ID`, and the answer names\nthe reason.",
-        responses=problems("not_found", "overloaded", "draining"),
+        responses=problems("not_found", "draining"),
     )
     async def stream_job_events(
-        job: Annotated[Job, Depends(finder(kind))],
         events: EventsDep,
+        job: Annotated[Job, Depends(finder(kind))],
         request: Request,
         last_event_id: LastEventId = None,
     ) -> AsyncIterator[ServerSentEvent]:

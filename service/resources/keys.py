@@ -165,7 +165,7 @@ class PageKey(BaseModel):
 
 
 @router.get("/page", responses=problems("not_found"))
-def get_page_key(request: Request, response: Response) -> PageKey:
+async def get_page_key(request: Request, response: Response) -> PageKey:
     """Return the key with which a browser of the service's own user may use the page."""
     owner: LocalOwner = request.app.state.local_owner
     if owner.page_key is None:

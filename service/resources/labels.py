@@ -110,7 +110,7 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
 @router.get(
     "/{fit_id}/labels",
     dependencies=[Depends(take_turn, scope="function")],
-    responses=problems("not_found", "conflict", "overloaded"),
+    responses=problems("not_found", "conflict"),
 )
 def get_labels(
     fit: FitDep,
@@ -136,7 +136,7 @@ def get_labels(
     "/{fit_id}/labels/file",
     response_class=Response,
     dependencies=[Depends(take_turn, scope="function")],
-    responses=problems("not_found", "conflict", "overloaded", "range_not_satisfiable")
+    responses=problems("not_found", "conflict", "range_not_satisfiable")
     | file_responses("The files of the format, in a ZIP.", OCTETS),
 )
 def download_labels(

@@ -31,7 +31,7 @@ class SkeletonList(BaseModel):
 
 
 @router.get("", responses=problems())
-def list_skeletons() -> SkeletonList:
+async def list_skeletons() -> SkeletonList:
     """List the skeletons that are known by name, those of people, hands, animals and faces.
 
     One of them can be given as `skeleton_name` with files, or become the `skeleton` of a dataset.

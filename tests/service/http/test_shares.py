@@ -7,19 +7,25 @@ import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from inspect import isasyncgenfunction, iscoroutinefunction
 from pathlib import Path
 
 import httpx2
 import orjson
 import pytest
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from models.capture.synthetic import SyntheticCapture
+from service.app import ENDPOINTS, RESOURCES
+from service.http.dependencies import in_turn
 from service.settings import Settings
-from store import access_keys
+from store import access_keys, lookup
 from store.access_keys import SCOPES
 from store.database import Store
+from store.records import DatasetRecord
 from tests.client.readers import files
 from tests.processes import command_of, descendants
 from tests.service.conftest import (
@@ -39,6 +45,7 @@ pytestmark = pytest.mark.usefixtures("keys_end")
 
 PLACES = 8
 OF_ONE_KEY = 6
+REQUESTS = 64
 Header = dict[str, str]
 
 
@@ -62,6 +69,7 @@ def _key(settings: Settings, project: str) -> Header:
 @pytest.fixture(scope="module")
 def http(settings: Settings, greedy: Header, other: Header) -> Iterator[httpx2.Client]:
     narrow = {
+        "max_requests": REQUESTS,
         "max_streams": PLACES,
         "max_event_streams": PLACES,
         "large_at_a_time": 1,
@@ -115,6 +123,84 @@ def test_followers_leave_places(http: httpx2.Client, greedy: Header, other: Head
         beyond.read()
         refused(beyond)
         assert follow("other", other).status_code == 200
+
+
+def test_requests_whose_bodies_never_come_leave_places(
+    http: httpx2.Client, greedy: Header, other: Header
+) -> None:
+    lines = "".join(f"{name}: {value}\r\n" for name, value in greedy.items())
+    head = f"POST /datasets HTTP/1.1\r\nHost: localhost\r\n{lines}Content-Length: 9\r\n"
+    head += f"Content-Type: {BYTES['Content-Type']}\r\n\r\n"
+    with ExitStack() as silent:
+        address = (http.base_url.host, http.base_url.port or 0)
+        connections = [silent.enter_context(socket.create_connection(address)) for _ in range(49)]
+        for one in connections:
+            one.sendall(head.encode())
+        (first, *_), _, _ = select.select(connections, [], [], 60)
+        assert b" 429 " in first.recv(MIB)
+        refused(http.get("/datasets", headers=greedy))
+        assert http.get("/datasets", headers=other).status_code == 200
+        assert http.get("/health/live").status_code == 200
+
+    def answered() -> bool:
+        return http.get("/datasets", headers=greedy).status_code == 200
+
+    wait_for(answered, "the places of those who left")
+
+
+def test_requests_that_wait_for_the_records_leave_threads(
+    http: httpx2.Client,
+    settings: Settings,
+    greedy: Header,
+    other: Header,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One key changes a record, many times at once, while somebody else writes for long."""
+    monkeypatch.setattr("service.http.turns.LONGEST_WAIT", 1.0)
+    with httpx2.Client(base_url=http.base_url, headers=greedy, trust_env=False) as client:
+        dataset = make_dataset(client)["id"]
+    others = Store(settings)
+
+    def change() -> httpx2.Response:
+        return http.patch(f"/datasets/{dataset}", json={"name": "n"}, headers=greedy)
+
+    with ThreadPoolExecutor(40) as threads:
+        with others.writing() as session:
+            lookup.lock(session, DatasetRecord, dataset)
+            asked = [threads.submit(change) for _ in range(40)]
+            most = ENDPOINTS * 3 // 4
+            wait_for(lambda: sum(one.done() for one in asked) == 40 - most, "the others' refusal")
+            assert http.get("/datasets", headers=other).status_code == 200
+            assert http.get("/metrics", headers=other).status_code == 200
+            assert sum(one.done() for one in asked) == 40 - most
+        answers = [one.result() for one in asked]
+    others.close()
+    for answer in answers:
+        if answer.status_code != 200:
+            refused(answer)
+    assert sum(answer.status_code == 200 for answer in answers) == most
+
+
+def test_whatever_works_in_a_thread_has_a_turn_once_its_body_has_come() -> None:
+    def flat(dependant: Dependant) -> Iterator[Dependant]:
+        for each in dependant.dependencies:
+            yield from flat(each)
+        yield dependant
+
+    routes = [route for module in RESOURCES for route in module.router.routes]
+    seen = 0
+    for route in routes:
+        if not isinstance(route, APIRoute):
+            continue
+        calls = [each.call for each in flat(route.dependant)]
+        awaited = [iscoroutinefunction(call) or isasyncgenfunction(call) for call in calls]
+        if all(awaited):
+            continue
+        assert in_turn in calls[: awaited.index(False)], route.path
+        before = [call for call in calls[:-1] if isasyncgenfunction(call)]
+        assert before[-1] is in_turn, route.path
+        seen += 1
+    assert seen > 40
 
 
 def held_bodies(http: httpx2.Client, header: Header, sent: int, count: int) -> list[socket.socket]:
