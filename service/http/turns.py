@@ -39,8 +39,10 @@ def is_shared(connection: HTTPConnection) -> bool:
 
     To who comes without a key, to ask how the service is or for the page, there always are.
     """
+    if "caller" not in connection.scope["state"]:
+        return True
     keyring: Keyring = connection.app.state.keyring
-    return keyring.is_shared or "caller" not in connection.scope["state"]
+    return keyring.is_shared
 
 
 def refused(shares: Shares, who: Who, *, shared: bool, whole: str, retry_seconds: str) -> ApiError:
