@@ -12,6 +12,7 @@ from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError, LeaseLostError
 from store.records import FitRecord
+from store.version import VERSION
 
 logger = logging.getLogger(__name__)
 
@@ -126,7 +127,7 @@ def succeed(
     fit = lookup.get(store, FitRecord, attempt.fit_id)
     labels = {"name": fit.name, "tags": fit.tags, "user_metadata": fit.user_metadata}
     labels |= {"project": fit.project, "key_id": fit.key_id}
-    model = models.new_record(store, weights, fit_id=fit.id, **labels, **describe)
+    model = models.new_record(store, weights, fit_id=fit.id, version=VERSION, **labels, **describe)
     reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
     try:

@@ -28,6 +28,7 @@ from store.labels import Labels
 from store.lookup import lock, lost
 from store.mistakes import unknown
 from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
+from store.version import VERSION
 
 
 def create(
@@ -297,6 +298,7 @@ def ended(status: str) -> dict[str, Any]:
     return {
         "status": status,
         "finished_at": clock.now(),
+        "version": VERSION,
         "lease_expires_at": None,
         "checkpoint_key": None,
         "stored_bytes": 0,
@@ -306,7 +308,7 @@ def ended(status: str) -> dict[str, Any]:
 
 def _end(session: Session, fit: FitRecord, status: str, now: float) -> None:
     condemn(session, [fit.checkpoint_key])
-    fit.status, fit.finished_at = status, now
+    fit.status, fit.finished_at, fit.version = status, now, VERSION
     fit.lease_expires_at = fit.checkpoint_key = None
     fit.stored_bytes = 0
     webhooks.announce(session, fit)

@@ -137,6 +137,7 @@ class FitRecord(Job, Record):
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
     model_id: Mapped[str | None] = mapped_column(index=True)
+    version: Mapped[str | None]  # of Fewview that ended it; None: it goes on, or nobody noted it
     kept_bytes: Mapped[int] = kept(
         "tags", "user_metadata", "error", "findings", "config", "progress"
     )
@@ -211,6 +212,7 @@ class ModelRecord(Labelled, Owned, Record):
     weights_key: Mapped[str]
     weights_bytes: Mapped[int]
     weights_checksum: Mapped[str]
+    version: Mapped[str | None]  # of Fewview that fitted it; None: nobody noted it
     findings: Mapped[list[Any] | None]
     kept_bytes: Mapped[int] = kept(
         *("tags", "user_metadata", "config", "skeleton", "training_curve", "metrics", "findings")

@@ -146,6 +146,7 @@ class Fit(BaseModel):
                 "started_at": "2026-03-01T09:31:01Z",
                 "finished_at": None,
                 "model_id": None,
+                "version": None,
                 "error": None,
                 "findings": [],
                 "verdict": None,
@@ -173,6 +174,10 @@ class Fit(BaseModel):
     started_at: datetime | None
     finished_at: datetime | None
     model_id: str | None
+    version: str | None = Field(
+        description="Version of Fewview that made or ended it; null while it goes on, and if an "
+        "older one did."
+    )
     error: FitError | None
     findings: Findings
     verdict: Verdict | None = Field(
@@ -200,6 +205,7 @@ class Fit(BaseModel):
                 "started_at": record.started_at,
                 "finished_at": record.finished_at,
                 "model_id": record.model_id,
+                "version": record.version,
                 "error": record.error,
                 "findings": found,
                 "verdict": verdict_of(found) if record.status == "succeeded" else None,

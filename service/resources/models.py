@@ -73,6 +73,7 @@ _EXAMPLE: dict[str, Any] = {
     "pck_threshold": 0.1,
     "weights_bytes": 91234,
     "weights_checksum": f"sha256:{'5e88' * 16}",
+    "version": "0.1.0",
     "findings": EXAMPLE_FINDINGS,
 }
 
@@ -113,6 +114,9 @@ class ModelSummary(BaseModel):
     pck_threshold: float | None = None
     weights_bytes: int = Field(description="Without the description that an export adds.")
     weights_checksum: str = Field(description="Of these bytes; a copy elsewhere has the same.")
+    version: str | None = Field(
+        description="Version of Fewview whose fit made it; null if an older one did."
+    )
     findings: Findings
 
     @classmethod
@@ -135,6 +139,7 @@ class ModelSummary(BaseModel):
             "skeleton": record.skeleton,
             "weights_bytes": record.weights_bytes,
             "weights_checksum": f"sha256:{record.weights_checksum}",
+            "version": record.version,
             "findings": record.findings or [],
             **labels_of(record),
             **record.metrics,
@@ -350,6 +355,7 @@ def import_model(
         "keypoints": prior.keypoints_per_frame,
         "config": prior.config.model_dump(mode="json"),
         "skeleton": known.skeleton and known.skeleton.model_dump(),
+        "version": known.version,
         "training_curve": [point._asdict() for point in prior.curve],
         "metrics": known.metrics.model_dump(),
         "findings": dumped(prior.findings),

@@ -44,12 +44,13 @@ class ModelDescription(Labels):
     views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] | None = None
     frames: Count | None = None
     skeleton: Skeleton | None = None
+    version: Annotated[str, Field(max_length=100)] | None = None  # of Fewview whose fit made it
     metrics: ModelFigures = ModelFigures()
 
     @classmethod
     def of(cls, model: records.ModelRecord) -> Self:
         """Return the description of a model from its record."""
-        fields = ("name", "views", "frames", "skeleton", "metrics")
+        fields = ("name", "views", "frames", "skeleton", "version", "metrics")
         values = {field: getattr(model, field) for field in fields} | labels_of(model)
         return cls.model_validate(values, strict=False)
 

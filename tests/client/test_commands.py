@@ -3,6 +3,7 @@
 import json
 import subprocess
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,7 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
         listed = fewview(kind, "list", url).stdout
         assert identifier in listed
         assert listed.startswith("id ")
+        assert (f" {version('fewview-server')} " in listed) == (kind == "models")
         assert said(fewview(kind, "get", identifier, url))["id"] == identifier
         gone = {"deleted": [identifier], "refused": []}
         assert said(fewview(kind, "delete", identifier, "--json", url)) == gone

@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from store.database import Store
 from store.settings import StoreSettings
+from store.version import VERSION
 from tests.page.conftest import HAND, Watched, watch
 from tests.page.stored import EDGES, KEYPOINTS, NAMES, SKELETON, Stored, walking
 from tests.service.conftest import BYTES, Live, kill_service, start_service, to_npz
@@ -93,6 +94,7 @@ def test_fits_name_old_datasets_and_are_compared(page: Page) -> None:
     expect(rows.filter(has_text="walk 1")).to_contain_text("session 0")
     page.get_by_label("Status").select_option("succeeded")
     expect(rows).to_have_count(2)
+    expect(rows.first.locator("[data-title=Version]")).to_have_text(VERSION)
     page.get_by_label("Status").select_option("")
     page.get_by_label("Search fits").fill("try 1")
     page.get_by_label("Choose try 1", exact=True).check()
@@ -102,6 +104,7 @@ def test_fits_name_old_datasets_and_are_compared(page: Page) -> None:
     seeds = page.get_by_role("row", name="seed")
     expect(seeds).to_contain_text("1")
     expect(seeds).to_contain_text("11")
+    expect(page.get_by_role("row", name="Version of Fewview")).to_contain_text(VERSION)
 
 
 def test_an_old_capture_is_offered_live(page: Page) -> None:

@@ -21,6 +21,7 @@ from store.errors import (
 from store.idempotency import Idempotency
 from store.jobs import MAX_CRASHES
 from store.records import FitRecord, ModelRecord
+from store.version import VERSION
 
 DESCRIBE = {
     "keypoints": 5,
@@ -182,7 +183,8 @@ def test_terminal_states_are_never_left(store: Store, fit: FitRecord, status: st
     else:
         with pytest.raises(ConflictError):
             fits.cancel(store, fit.id)
-    assert lookup.get(store, FitRecord, fit.id).status == status
+    ended = lookup.get(store, FitRecord, fit.id)
+    assert (ended.status, ended.version) == (status, VERSION)
 
 
 def test_cancelling(store: Store, fit: FitRecord) -> None:

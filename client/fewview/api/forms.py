@@ -40,8 +40,6 @@ class Described:
 
     Attributes
     ----------
-    id
-        Its identifier.
     raw
         The whole JSON object, which may have more than the fields here.
     tags, metadata
@@ -159,6 +157,7 @@ class Fit(Job):
     from_model: str | None = None
     progress: FitProgress | None = None
     model_id: str | None = None
+    version: str | None = None  # of Fewview that made or ended it
     verdict: Verdict | None = None
 
 
@@ -211,6 +210,7 @@ class Model(Described):
     pa_mpjpe: float | None = None
     pck: float | None = None
     pck_threshold: float | None = None
+    version: str | None = None  # of Fewview whose fit made it; None if nobody noted it
     findings: tuple[Finding, ...] = ()
 
 

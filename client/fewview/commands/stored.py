@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 # The columns of a list besides id, name and time of creation.
 COLUMNS = {
     "datasets": ("frames", "views", "keypoints", "tags"),
-    "fits": ("status", "frames", "model_id", "tags"),
-    "models": ("keypoints", "views", "reprojection_error", "tags"),
+    "fits": ("status", "frames", "model_id", "version", "tags"),
+    "models": ("keypoints", "views", "reprojection_error", "version", "tags"),
     "lifts": ("status", "frames", "model_id", "tags"),
 }
 FILES = {
@@ -265,7 +265,7 @@ def _lines(kind: str, listed: list[dict[str, Any]]) -> str:
         return f"no {kind}"
     rows = [["id", "name", "made", *COLUMNS[kind]]]
     for item in listed:
-        fields = [item[column] for column in COLUMNS[kind]]
+        fields = [item.get(column) for column in COLUMNS[kind]]
         made = str(item["created_at"])[:16].replace("T", " ")
         rows.append([item["id"], item["name"], made, *map(_short, fields)])
     return table(rows)

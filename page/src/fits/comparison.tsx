@@ -89,6 +89,7 @@ const FIGURES: [string, (side: Side) => preact.ComponentChildren][] = [
   ["Error against the truth", ({ model }) => number(model?.pa_mpjpe)],
   ["Took", ({ fit }) => (Number.isNaN(secondsOf(fit)) ? "–" : duration(secondsOf(fit)))],
   ["Warnings", ({ fit }) => fit.findings.filter(({ severity }) => severity === "warning").length],
+  ["Version of Fewview", ({ fit }) => fit.version ?? "–"],
   ["Made", ({ fit }) => moment(fit.created_at)],
 ];
 

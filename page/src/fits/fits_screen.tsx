@@ -57,6 +57,7 @@ export function FitsScreen() {
       order: secondsOf,
     },
     { title: "Settings", cell: ({ id }) => settings.get(id), order: ({ id }) => settings.get(id) ?? "" },
+    { title: "Version", cell: ({ version }) => version ?? "–", order: ({ version }) => version ?? "" },
     {
       title: "Made",
       cell: ({ created_at: at }) => moment(at),

@@ -76,6 +76,7 @@ function Figures({ model, cameras }: { model: Model; cameras: ModelCameras | nul
     ["Frames lifted", model.frames ? `${number(model.frames_lifted)} of ${number(model.frames)}` : "–"],
     ["Keypoints", `${model.keypoints}${model.views ? ` of ${count(model.views, "view")}` : ""}`],
     ["Cameras", cameras === null ? "–" : cameras.arrangement],
+    ["Version of Fewview", model.version ?? "not known"],
     ["Weights", bytes(model.weights_bytes)],
   ];
   if (model.pa_mpjpe) rows.push(["Error against the truth", `${number(model.pa_mpjpe)}, PA-MPJPE in the truth's unit`]);

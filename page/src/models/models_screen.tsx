@@ -23,6 +23,7 @@ const COLUMNS: Column<ModelSummary>[] = [
     cell: ({ findings }) => <Warnings findings={findings} />,
     order: ({ findings }) => findings.length,
   },
+  { title: "Version", cell: ({ version }) => version ?? "–", order: ({ version }) => version ?? "" },
   { title: "Made", cell: ({ created_at: at }) => moment(at), order: ({ created_at: at }) => Date.parse(at) },
 ];
 

@@ -39,6 +39,7 @@ def test_what_a_file_says_of_its_model_is_checked(api: TestClient, weights: byte
         ('{"views": "3"}', "/views"),
         ('{"views": 0}', "/views"),
         ('{"frames": 1e99}', "/frames"),
+        (f'{{"version": "{"1" * 101}"}}', "/version"),
         ('{"name": ["a"]}', "/name"),
         (f'{{"name": "{"a" * 201}"}}', "/name"),
         ('{"metrics": {"pck": "much"}}', "/metrics/pck"),

@@ -1,5 +1,6 @@
 """Models: their figures, their weights out and in again."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -239,6 +240,7 @@ def test_a_model_travels_with_all_that_is_known_of_it(
     links = {"id", "created_at", "fit_id", "dataset_id"}
     assert {field for field in named if named[field] != made[field]} == links
     assert made["pa_mpjpe"] is not None
+    assert made["version"] == fitted["version"] == version("fewview-server")
     assert (made["views"], made["frames"]) == (3, 60)
     again = api.get(f"/models/{made['id']}/weights")
     assert again.content == file.content
