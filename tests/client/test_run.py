@@ -82,6 +82,10 @@ def test_files_become_an_animation_cameras_and_a_model(
 
     again = run(*words)
     assert json.loads(again.stdout)["model"] == answer["model"]
+    in_words = run(*[word for word in words if word != "--json"])
+    verdict = answer["verdict"]
+    assert verdict["code"] in {None, *(finding["code"] for finding in answer["findings"])}
+    assert f"{verdict['level']:<10} {verdict['reliable']}\n" in in_words.stdout
     assert run(*words, "-c", "seed=5", "--formats", "obj").returncode == 2
 
 

@@ -161,10 +161,14 @@ def test_a_fit_and_its_model_have_the_findings(
     dataset = uploaded(live.http, keypoints)
     body = {"dataset_id": dataset["id"], "config": CONFIG | {"steps": 20}}
     fit = live.http.post("/fits", json=body).json()
-    assert fit["findings"] == []
+    assert (fit["findings"], fit["verdict"]) == ([], None)
     *_, (event, _, ended) = job_events(live, f"/fits/{fit['id']}")
     assert (event, ended["status"]) == ("end", "succeeded")
     assert {"keypoint_never_seen", "keypoint_frozen"} <= set(codes(ended))
+    deciding = {finding["code"]: finding for finding in ended["findings"]}[ended["verdict"]["code"]]
+    assert deciding["severity"] == "warning"
+    assert ended["verdict"]["level"] != "good"
+    assert ended["verdict"]["remedy"] == deciding["remedy"]
     model = live.get(f"/models/{ended['model_id']}")
     assert model["findings"] == ended["findings"]
     weights = live.http.get(f"/models/{model['id']}/weights").content
