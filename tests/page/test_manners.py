@@ -14,6 +14,7 @@ from tests.page.project import checked_out
 from tests.page.proxy import proxied
 from tests.page.stored import Stored
 from tests.service.conftest import Live
+from tests.service.resources.test_folders import VIEWS, frame_files
 
 SCREENS = (
     "",
@@ -26,8 +27,11 @@ SCREENS = (
     "#/live",
     "#/fits/{fit}",
     "#/fits/{failed}",
+    "#/fits/comparison?id={fit}&id={again}",
 )
 COLOURED = ("", "#/models/{model}", "#/storage", "#/fits/{fit}")  # whose colours are all there are
+LISTS = ("", "#/datasets", "#/models")
+FOLDER = ".drop input[webkitdirectory]"
 DESK = ViewportSize(width=1280, height=800)
 
 
@@ -87,13 +91,25 @@ def test_anothers_page_at_localhost_is_not_the_owners(context: BrowserContext, l
         assert page.evaluate(asked) == 401, path
 
 
-def opened(page: Page, screen: str) -> None:
-    """Wait until a screen shows all that it will."""
+def opened(page: Page, screen: str, files: Path) -> None:
+    """Wait until a screen shows all that it will, and open what is folded on it."""
     expect(page.get_by_role("heading", level=1)).to_be_visible()
     if "{fit}" in screen:
         expect(page.get_by_role("heading", name="Figures")).to_be_visible()
     if "{failed}" in screen:
         expect(page.get_by_role("heading", name="This fit failed")).to_be_visible()
+    if screen == "#/datasets/new":
+        page.set_input_files(FOLDER, files)
+        expect(page.get_by_role("region", name="What was understood")).to_contain_text("3 views")
+    if screen in LISTS:
+        page.locator("tbody input[type=checkbox]").first.check()
+        expect(page.get_by_role("button", name="Delete").first).to_be_visible()
+    if "#/fits/{fit}" in screen:
+        page.get_by_label("Curve over time").select_option("Knee")
+        expect(page.locator(".u-wrap").first).to_be_visible()
+    for _ in range(3):  # some are within others, and made as these open
+        page.evaluate("document.querySelectorAll('details').forEach((fold) => fold.open = true)")
+        page.wait_for_timeout(100)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -103,11 +119,14 @@ def test_every_screen_fits_hand_and_desk_and_who_cannot_see_it(
     stored: Stored,
     scheme: Any,
     tmp_path_factory: pytest.TempPathFactory,
+    tmp_path: Path,
 ) -> None:
     """Axe, which examines roles, names and contrast, has no serious objection."""
     axe = checked_out(tmp_path_factory) / "node_modules" / "axe-core" / "axe.min.js"
     # What does not depend on colours is examined once.
     light = scheme == "light"
+    for v, values in enumerate(VIEWS):
+        frame_files(tmp_path / f"cam{v}", values)
     screens, rules = (SCREENS, "{}") if light else (COLOURED, "{runOnly: ['color-contrast']}")
     with browser.new_context(
         viewport=HAND, color_scheme=scheme, has_touch=True, bypass_csp=True
@@ -115,7 +134,7 @@ def test_every_screen_fits_hand_and_desk_and_who_cannot_see_it(
         watched = watch(context.new_page(), live.url)
         for screen in screens:
             page = watched.open(stored.at(screen))
-            opened(page, screen)
+            opened(page, screen, tmp_path)
             wide = "document.documentElement.scrollWidth"
             assert page.evaluate(wide) <= HAND["width"], screen
             page.add_script_tag(path=axe)

@@ -9,7 +9,7 @@ export function number(value: number | null | undefined, digits = 3): string {
 }
 
 export function pixels(value: number | null | undefined): string {
-  return `${number(value)} px`;
+  return value === null || value === undefined || Number.isNaN(value) ? "–" : `${number(value)} px`;
 }
 
 export function percent(share: number): string {

@@ -86,7 +86,7 @@ export function JointPicture(props: Props) {
               class={`joint ${CLASSES[`${sides[keypoint] ?? 0}`]}${order >= 0 ? " marked" : ""}`}
               role="button"
               tabindex={0}
-              aria-label={names[keypoint]}
+              aria-label={numbered && order >= 0 ? `${names[keypoint]}, ${order + 1}` : names[keypoint]}
               aria-pressed={order >= 0}
               onClick={() => onJoint(keypoint)}
               onKeyDown={press(() => onJoint(keypoint))}
