@@ -94,7 +94,7 @@ def test_anothers_page_at_localhost_is_not_the_owners(context: BrowserContext, l
 def opened(page: Page, screen: str, files: Path) -> None:
     """Wait until a screen shows all that it will, and open what is folded on it."""
     expect(page.get_by_role("heading", level=1)).to_be_visible()
-    if "{fit}" in screen:
+    if screen == "#/fits/{fit}":
         expect(page.get_by_role("heading", name="Figures")).to_be_visible()
     if "{failed}" in screen:
         expect(page.get_by_role("heading", name="This fit failed")).to_be_visible()
@@ -104,7 +104,7 @@ def opened(page: Page, screen: str, files: Path) -> None:
     if screen in LISTS:
         page.locator("tbody input[type=checkbox]").first.check()
         expect(page.get_by_role("button", name="Delete").first).to_be_visible()
-    if "#/fits/{fit}" in screen:
+    if screen == "#/fits/{fit}":
         page.get_by_label("Curve over time").select_option("Knee")
         expect(page.locator(".u-wrap").first).to_be_visible()
     for _ in range(3):  # some are within others, and made as these open
