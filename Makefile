@@ -77,22 +77,29 @@ docs: .venv/ready
 openapi: .venv/ready
 	$(BIN)/python -P -m service.openapi > docs/openapi.json
 
-# What the image installs, anew: the newest versions that pyproject.toml allows, with their hashes.
+# What the image installs, and what .venv is made of, anew: the newest versions that pyproject.toml
+# allows, with their hashes.
 LOCK := build/lock/bin
+COMPILE := $(LOCK)/uv pip compile --quiet --upgrade --universal --generate-hashes \
+  --no-emit-package torch --no-emit-package fewview --custom-compile-command 'make lock' pyproject.toml
 lock:
 	$(PYTHON) -m venv build/lock
 	$(LOCK)/pip install --quiet uv==0.13.9
-	$(LOCK)/uv pip compile --quiet --upgrade --universal --python-version 3.12 --generate-hashes \
-	  --extra postgresql --group build --no-emit-package torch --no-emit-package fewview \
-	  --custom-compile-command 'make lock' pyproject.toml --output-file requirements.lock
+	$(COMPILE) --python-version 3.12 --extra postgresql --group build --output-file requirements.lock
+	$(COMPILE) --python-version 3.11 --extra dev --output-file requirements-dev.lock
 
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile
 # Finished only once everything is installed: an interrupted set-up starts over. Of what is installed,
 # most is never imported: Python compiles the others as it imports them.
-.venv/ready: pyproject.toml client/pyproject.toml
+# torch comes from the index that pip is set to, for processors or for GPUs: each has a wheel of its own.
+TORCH = $(shell sed -n 's/^ *"\(torch==.*\)",$$/\1/p' pyproject.toml)
+.venv/ready: pyproject.toml client/pyproject.toml requirements-dev.lock
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Fewview needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --no-compile --editable ./client --editable '.[dev]'
+	$(INSTALL) --no-deps --require-hashes --requirement requirements-dev.lock
+	$(INSTALL) $(TORCH)
+	$(INSTALL) --no-deps --no-build-isolation --editable ./client --editable .
+	$(BIN)/python -m pip check
 	touch $@
 
 # The inner loops as machine code, before several processes want it at a time.

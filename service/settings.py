@@ -80,7 +80,7 @@ class Settings(WorkerSettings):
         1024 * MEBIBYTE,
         ge=1024,
         description="What detectors' files of a request may unpack to, together. They may unpack "
-        "to 64 times their size, or 64 MiB, and to no more than the key may store.",
+        "to 64 times their size, or 64 MiB, and to no more than the key may still keep.",
     )
     max_pending_bytes: int | None = Field(
         None,

@@ -57,7 +57,7 @@ def check(session: Session, more: int = 0) -> None:
     if author is None or author.quotas.stored_bytes is None:
         return
     session.flush()
-    own = {name: kept for name, (_, kept) in _account(session, author).items() if kept.records}
+    own = _own(session, author)
     stored = sum(kept.size for kept in own.values()) + more
     if stored > author.quotas.stored_bytes:
         largest = sorted(own, key=lambda name: -own[name].size)[:NAMED]
@@ -67,6 +67,16 @@ def check(session: Session, more: int = 0) -> None:
             f"{f' ({listed})' if listed else ''}. Delete what is not needed (GET /storage shows "
             "what counts), or ask who keeps the service."
         )
+
+
+def left(store: Store) -> int | None:
+    """Return the bytes that an author may still keep; None where that is not bounded."""
+    author = store.author
+    if author is None or author.quotas.stored_bytes is None:
+        return None
+    with store.reading() as session:
+        kept = sum(kept.size for kept in _own(session, author).values())
+    return max(0, author.quotas.stored_bytes - kept)
 
 
 def check_queue(session: Session) -> None:
@@ -131,6 +141,11 @@ def usage(store: Store, most: int) -> Usage:
         {name: own for name, (_, own) in account.items()},
         items[:most],
     )
+
+
+def _own(session: Session, author: Author) -> dict[str, Kept]:
+    """Return what there is of an author's, by kind."""
+    return {name: kept for name, (_, kept) in _account(session, author).items() if kept.records}
 
 
 def _account(session: Session, author: Author | None) -> dict[str, tuple[Kept, Kept]]:

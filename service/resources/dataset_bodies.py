@@ -22,7 +22,6 @@ from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, TIMES, Name
 from service.wire.skeletons import Skeleton
 from store.capture import Capture
 from store.capture_files import UNKNOWN_SIZE
-from store.database import Store
 from store.datasets import CaptureDescription
 from store.labels import Labels, Text
 from store.records import DatasetRecord
@@ -196,25 +195,20 @@ class NewCapture(NamedTuple):
     people: list[ViewPeoplePreview] | None = None
 
 
-def quota_of(store: Store) -> int | None:
-    """Return the bytes that who uses a store may store; None where that is not bounded."""
-    return None if store.author is None else store.author.quotas.stored_bytes
-
-
 def read_new(
     upload: Upload,
     settings: Settings,
     name: str | None,
     *,
     with_people: bool = False,
-    quota: int | None = None,
+    may_keep: int | None = None,
 ) -> NewCapture:
     """Return the capture in a body.
 
     Parameters
     ----------
-    quota
-        Bytes that who sends it may store, if that is bounded.
+    may_keep
+        Bytes that who sends it may still keep, if that is bounded.
 
     Raises
     ------
@@ -238,7 +232,7 @@ def read_new(
             fps=known.fps,
             image_sizes=known.image_sizes,
             with_people=with_people,
-            quota=quota,
+            may_keep=may_keep,
         )
         fields |= described
     elif reading:

@@ -26,7 +26,6 @@ from service.resources.dataset_bodies import (
     DatasetForm,
     Frames,
     ImageSize,
-    quota_of,
     read_frames,
     read_new,
 )
@@ -35,7 +34,7 @@ from service.wire.calibrations import CaptureCalibration
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
-from store import dataset_changes, datasets, lookup, records
+from store import dataset_changes, datasets, lookup, records, usage
 from store.labels import labels_of
 
 logger = logging.getLogger(__name__)
@@ -188,7 +187,7 @@ def create_dataset(
     form, as `files`, one for each camera, and folders in a zip, as `folders`; `notes` of the answer
     report how they were read.
     """
-    capture, description, _ = read_new(upload, settings, name, quota=quota_of(store))
+    capture, description, _ = read_new(upload, settings, name, may_keep=usage.left(store))
     record = datasets.create(
         store,
         capture,

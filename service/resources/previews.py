@@ -9,13 +9,13 @@ from service.http.dependencies import SettingsDep, StoreDep
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.operations import request_body
 from service.http.uploads import FilesBody
-from service.resources.dataset_bodies import quota_of, read_new
+from service.resources.dataset_bodies import read_new
 from service.resources.datasets import DESCRIBED, NEW_DATASET, DatasetFacts
 from service.wire.calibrations import CaptureCalibration
 from service.wire.detector_files import read_calibration
 from service.wire.people import ViewPeoplePreview
 from service.wire.schemas import Name, Vector2
-from store import datasets, lookup, records
+from store import datasets, lookup, records, usage
 from store.capture import Capture
 
 router = APIRouter(prefix="/previews", tags=["datasets"])
@@ -74,7 +74,7 @@ def preview_dataset(
     It takes what `POST /datasets` takes, and refuses what that refuses.
     """
     capture, description, people = read_new(
-        upload, settings, name, with_people=True, quota=quota_of(store)
+        upload, settings, name, with_people=True, may_keep=usage.left(store)
     )
     return DatasetPreview.of(datasets.described(store, capture, description), capture, people)
 

@@ -138,7 +138,7 @@ def read_files(
     fps: float | None,
     image_sizes: Sequence[Sequence[int] | None] | None,
     with_people: bool = False,
-    quota: int | None = None,
+    may_keep: int | None = None,
 ) -> ReadFiles:
     """Read an upload's files, in a separate process.
 
@@ -152,8 +152,8 @@ def read_files(
         (width, height) in pixels of each view, None where unknown.
     with_people
         Whether to look whom each view shows.
-    quota
-        Bytes that who sends them may store, if that is bounded: they unpack to no more.
+    may_keep
+        Bytes that who sends them may still keep, if that is bounded: they unpack to no more.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def read_files(
                 max_bytes=settings.max_body_bytes,
                 holds_folders=upload.files[0].holds_folders,
                 with_people=with_people,
-                unpack=_unpacking(upload, settings, quota),
+                unpack=_unpacking(upload, settings, may_keep),
             )
     except FormatError as error:
         raise _at_field(error) from error
@@ -249,7 +249,7 @@ def _written(upload: Upload, folder: Path) -> list[str]:
     return names
 
 
-def _unpacking(upload: Upload, settings: Settings, quota: int | None) -> Unpacking:
+def _unpacking(upload: Upload, settings: Settings, may_keep: int | None) -> Unpacking:
     """Return what the files of a request may unpack to, together."""
     sent = sum(len(file.data) for file in upload.files)
     by_size = max(UNPACKED_SMALL, UNPACKED_TIMES * sent)
@@ -260,8 +260,8 @@ def _unpacking(upload: Upload, settings: Settings, quota: int | None) -> Unpacki
             by_size, f"{by_size:,} bytes, which files of this size may ({name} bounds the largest)"
         ),
     ]
-    if quota is not None:
-        bounds.append(Unpacking(quota, f"the {quota:,} bytes that this key may store"))
+    if may_keep is not None:
+        bounds.append(Unpacking(may_keep, f"the {may_keep:,} bytes that this key may still keep"))
     return min(bounds)
 
 

@@ -9,6 +9,7 @@ ends with its answer. None outlives the process that uses it.
 import atexit
 import gc
 import json
+import math
 import os
 import signal
 import socket
@@ -32,6 +33,7 @@ OWN_BYTES = 2**30  # addresses that Python and its libraries take
 NICENESS = 5  # so that others go on with what is quick
 HEADER_BYTES = 8  # the length of the JSON that begins each message, little-endian
 DTYPES = ("<f4", "<f8")
+LONGEST_ANSWER = 16 * 2**20  # bytes of JSON: what is valid of a body beside its arrays is little
 LONGEST_NAME = 200
 
 Work = Callable[[dict[str, Any], bytearray], tuple[dict[str, Any], Arrays]]
@@ -70,7 +72,8 @@ class Forks:
         Raises
         ------
         EndedError
-            If it ends without an answer, or does not answer in time.
+            If it ends without an answer, does not answer in time, or answers with more than it may
+            have, or with what no answer is: what it has read may have taken it over.
         """
         header = {"asked": asked, "size": len(data), "max_bytes": max_bytes}
         server = self._running()
@@ -125,8 +128,8 @@ class _Server:
                     socket.send_fds(self._channel, [needed.encode()], [theirs.fileno()])
                 _send(ours, header)
                 ours.sendall(data)
-                return _receive_answer(ours)
-            except OSError as error:
+                return _receive_answer(ours, header["max_bytes"])
+            except (OSError, LookupError, TypeError, ValueError, RecursionError) as error:
                 raise EndedError from error
 
     def has_ended(self) -> bool:
@@ -171,7 +174,7 @@ def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
     try:
         die_with_parent(parent)
         os.nice(NICENESS)
-        given = _receive(connection)
+        given = _receive(connection, LONGEST_ANSWER)
         limit(OWN_BYTES + given["max_bytes"], SECONDS)
         confine(None)
         data = bytearray(given["size"])
@@ -187,15 +190,20 @@ def _serve_one(connection: socket.socket, parent: int, work: Work) -> None:
         os._exit(0)
 
 
-def _receive_answer(process: socket.socket) -> tuple[dict[str, Any], Arrays]:
-    message = _receive(process)
+def _receive_answer(process: socket.socket, max_bytes: int) -> tuple[dict[str, Any], Arrays]:
+    """Return an answer, whose arrays have so many bytes at most, together."""
+    message = _receive(process, LONGEST_ANSWER)
     arrays: Arrays = {}
-    for name, (dtype, shape) in message["arrays"].items():
-        if dtype not in DTYPES:
+    left = max_bytes
+    for name, (dtype, shape) in dict(message["arrays"]).items():
+        if dtype not in DTYPES or not all(type(size) is int and size >= 0 for size in shape):
+            raise EndedError
+        left -= math.prod(shape) * np.dtype(dtype).itemsize
+        if left < 0:
             raise EndedError
         arrays[name] = np.empty(shape, dtype)
         _fill(process, arrays[name].reshape(-1).view(np.uint8).data)
-    return message["answer"], arrays
+    return dict(message["answer"]), arrays
 
 
 def _send(connection: socket.socket, message: dict[str, Any]) -> None:
@@ -203,13 +211,15 @@ def _send(connection: socket.socket, message: dict[str, Any]) -> None:
     connection.sendall(len(text).to_bytes(HEADER_BYTES, "little") + text)
 
 
-def _receive(connection: socket.socket) -> dict[str, Any]:
-    size = bytearray(HEADER_BYTES)
-    _fill(connection, memoryview(size))
-    text = bytearray(int.from_bytes(size, "little"))
+def _receive(connection: socket.socket, most: int) -> dict[str, Any]:
+    header = bytearray(HEADER_BYTES)
+    _fill(connection, memoryview(header))
+    size = int.from_bytes(header, "little")
+    if size > most:
+        raise EndedError
+    text = bytearray(size)
     _fill(connection, memoryview(text))
-    found: dict[str, Any] = json.loads(text)
-    return found
+    return dict(json.loads(text))
 
 
 def _fill(connection: socket.socket, target: memoryview) -> None:

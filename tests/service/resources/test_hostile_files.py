@@ -6,6 +6,10 @@ import struct
 import httpx2
 from starlette.testclient import TestClient
 
+from store import access_keys
+from store.access_keys import SCOPES
+from store.database import Store
+from store.quotas import Quotas
 from tests.service.conftest import problem, zip_of
 
 
@@ -22,6 +26,25 @@ def test_all_files_of_a_request_have_one_bound_of_what_they_unpack_to(api: TestC
     assert "67,108,864 bytes, which files of this size may" in message
     message = refused(api.post("/previews", files=sent))
     assert "67,108,864" in message
+
+
+def test_files_unpack_to_what_is_left_of_the_quota(api: TestClient) -> None:
+    """Not to the whole of it again with each request."""
+    store: Store = api.app.state.store  # type: ignore[attr-defined]
+    quotas = Quotas(stored_bytes=100_000)
+    _, token = access_keys.create(
+        store, name="lab", scopes=SCOPES, project="full lab", quotas=quotas
+    )
+    api.app.state.keyring.look()  # type: ignore[attr-defined]
+    header = {"Authorization": f"Bearer {token}"}
+    sent = [("files", ("a.zip", zip_of({"a.csv": b"1,2,3\n" * 10_000})))]
+    assert "may still keep" not in refused(api.post("/previews", files=sent, headers=header))
+    body = {"keypoints": [[[[1, 2]] * 4] * 2], "metadata": {"log": "x" * 50_000}}
+    assert api.post("/datasets", json=body, headers=header).status_code == 201
+    for where in ("/datasets", "/previews"):
+        message = refused(api.post(where, files=sent, headers=header))
+        assert "unpacks to 60,000 bytes" in message
+        assert "bytes that this key may still keep" in message
 
 
 def test_strangers_words_take_linear_time_and_come_out_cut(api: TestClient) -> None:
