@@ -73,7 +73,31 @@ class Filling:
         return units[start - first * len(self.unit) :][: end - start]
 
 
-Part = bytes | Span | Filling
+@dataclass(frozen=True)
+class Patched:
+    """Another part of which a few bytes are others: where they begin, and what they are.
+
+    The bytes of one place are as many as those of the other and do not overlap.
+    """
+
+    part: Span | Filling
+    patches: tuple[tuple[int, bytes], ...]  # by where they begin
+
+    def __len__(self) -> int:
+        return len(self.part)
+
+    def read(self, get_range: GetRange, start: int, end: int) -> bytes:
+        """Return the bytes from ``start`` up to ``end``."""
+        data = bytearray(self.part.read(get_range, start, end))
+        for at, new in self.patches:
+            if at < end and at + len(new) > start:
+                kept = new[max(0, start - at) : end - at]
+                first = max(0, at - start)
+                data[first : first + len(kept)] = kept
+        return bytes(data)
+
+
+Part = bytes | Span | Filling | Patched
 
 
 class Array(NamedTuple):

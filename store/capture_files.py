@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import select
 
-from store.array_files import Array, Filling, LaidOutFile, Part, Span, npz_file
+from store.array_files import Array, Filling, LaidOutFile, Part, Patched, Span, npz_file
 from store.capture import ARRAYS, checksums_in
+from store.corrections import Corrections, values_of
 from store.database import Store
 from store.errors import DamagedError
 from store.lookup import lost
@@ -33,8 +34,11 @@ class _Place(NamedTuple):
     checksum: int | None
 
 
-def capture_file(store: Store, dataset: DatasetRecord) -> LaidOutFile:
+def capture_file(store: Store, dataset: DatasetRecord, corrected: Corrections = ()) -> LaidOutFile:
     """Return the capture of a dataset as it is now, laid out as an npz file.
+
+    Keypoints and their confidence have the corrections given, as `store.corrections.applied` makes
+    them.
 
     Raises ``NotFoundError`` if the dataset was deleted since its record was read.
     """
@@ -43,14 +47,16 @@ def capture_file(store: Store, dataset: DatasetRecord) -> LaidOutFile:
         chunks = list(session.scalars(query))
     try:
         return npz_file(
-            [*_of_frames(store, dataset, chunks), *_of_description(dataset)],
+            [*_of_frames(store, dataset, chunks, corrected), *_of_description(dataset)],
             lambda _array, part: _checksum(store.objects, part),
         )
     except FileNotFoundError as error:
         raise lost(store, DatasetRecord, dataset.id, error) from error
 
 
-def _of_frames(store: Store, dataset: DatasetRecord, chunks: Sequence[Chunk]) -> list[Array]:
+def _of_frames(
+    store: Store, dataset: DatasetRecord, chunks: Sequence[Chunk], corrected: Corrections
+) -> list[Array]:
     layouts = [_layout(store.objects, chunk.key) for chunk in chunks]
     views, keypoints = dataset.views, dataset.keypoints
     shapes: dict[str, tuple[int, ...]] = {
@@ -65,14 +71,36 @@ def _of_frames(store: Store, dataset: DatasetRecord, chunks: Sequence[Chunk]) ->
             continue
         parts: list[Part] = []
         for chunk, layout in zip(chunks, layouts, strict=True):
+            part: Span | Filling
             if name in layout:
-                parts.append(Span(chunk.key, layout[name].start, layout[name].end))
+                part = Span(chunk.key, layout[name].start, layout[name].end)
             else:
                 value = np.array(FILLED_IN[name], dtype)
-                parts.append(Filling(value.tobytes(), chunk.frames * int(np.prod(shapes[name]))))
+                part = Filling(value.tobytes(), chunk.frames * int(np.prod(shapes[name])))
+            patches = _patches(name, chunk, (views, keypoints), corrected)
+            parts.append(Patched(part, patches) if patches else part)
         frames = sum(chunk.frames for chunk in chunks)
         arrays.append(Array(name, dtype, (frames, *shapes[name]), parts))
     return arrays
+
+
+def _patches(
+    name: str, chunk: Chunk, sides: tuple[int, int], corrected: Corrections
+) -> tuple[tuple[int, bytes], ...]:
+    """Return what corrections change of an array of (views, keypoints) in a chunk, by offset."""
+    if name not in ("keypoints", "confidence"):
+        return ()
+    patches = []
+    for each in corrected:
+        frame = each.place.frame - chunk.first_frame
+        if 0 <= frame < chunk.frames:
+            pixels, trust = values_of(each)
+            new = np.asarray(pixels if name == "keypoints" else trust, DTYPES[name]).tobytes()
+            index = np.ravel_multi_index(
+                (frame, each.place.view, each.place.keypoint), (chunk.frames, *sides)
+            )
+            patches.append((int(index) * len(new), new))
+    return tuple(sorted(patches))
 
 
 def _of_description(dataset: DatasetRecord) -> list[Array]:

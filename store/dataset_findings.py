@@ -12,6 +12,7 @@ from sqlalchemy import func, select
 from models.capture.checks import ABSENCES, NUMBERS, absences, capture_findings, observed, sample
 from models.findings.advice import FAULTS, noticed
 from models.findings.finding import Finding, dumped
+from store import corrections
 from store.capture import Capture, concatenate
 from store.database import Store
 from store.errors import DamagedError
@@ -58,10 +59,13 @@ def of_longer(store: Store, dataset: DatasetRecord, added: Capture) -> list[Any]
     """
     size = max(1, NUMBERS // (dataset.views * dataset.keypoints) // (MOST_CHUNKS + 1))
     parts, numbers = [], []
+    with store.reading() as session:
+        corrected = corrections.of(session, DatasetRecord, dataset.id)
     for chunk in _some_chunks(store, dataset):
         part = slice(0, min(chunk.frames, size))
         try:
-            parts.append(Capture.frames_from(partial(store.objects.peek, chunk.key), part))
+            found = Capture.frames_from(partial(store.objects.peek, chunk.key), part)
+            parts.append(corrections.applied(found, corrected, chunk.first_frame))
         except FileNotFoundError:  # the dataset was deleted since: its findings are not needed
             continue
         except (DamagedError, *FAULTS):  # the jobs that need the chunk will fail
@@ -72,11 +76,11 @@ def of_longer(store: Store, dataset: DatasetRecord, added: Capture) -> list[Any]
     parts.append(_frames(added, last))
     numbers.append(dataset.frames + last)
     frames, there = dataset.frames + added.frames, np.concatenate(numbers)
-    found = _of_sample(concatenate(parts), dataset.image_sizes, there, frames)
+    findings = _of_sample(concatenate(parts), dataset.image_sizes, there, frames)
     if len(there) == frames:
-        return dumped(found)
+        return dumped(findings)
     still = noticed(_still, dataset.findings or [], _absences(added, frames))
-    return dumped(_with(still, found))
+    return dumped(_with(still, findings))
 
 
 def _of_sample(

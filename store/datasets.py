@@ -9,10 +9,11 @@ import numpy as np
 from sqlalchemy import func, select
 
 from models.settings.times import check_rate
-from store import audit, dataset_findings, jobs, keys
+from store import audit, corrections, dataset_findings, jobs, keys
 from store.account import PART_BYTES
 from store.authors import owned_by
 from store.capture import Capture, Float64, concatenate, extend_checksum
+from store.corrections import Corrections
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import CaptureError, NotFoundError
@@ -146,7 +147,7 @@ def append(
                 if replayed(session, idempotency) is not None:
                     break
                 record = lock(session, DatasetRecord, dataset_id)
-                appended = record.checksum == dataset.checksum  # else others added frames meanwhile
+                appended = corrections.same_keypoints(record, dataset)  # else others changed them
                 if appended:
                     columns["stored_bytes"] = record.stored_bytes + size
                     for name, value in columns.items():
@@ -218,23 +219,39 @@ def times_of(dataset: DatasetRecord, capture: Capture, first_frame: int = 0) -> 
     return (first_frame + np.arange(capture.frames)) / dataset.fps
 
 
-def load(store: Store, dataset_id: str, *, frames: int | None = None) -> Capture:
-    """Read a dataset's arrays, all of them or the first ``frames``."""
+def load(
+    store: Store,
+    dataset_id: str,
+    *,
+    frames: int | None = None,
+    corrected: Corrections | None = None,
+) -> Capture:
+    """Read a dataset's arrays, all of them or the first ``frames``, with corrections applied.
+
+    Those are the ones that the dataset has now, unless others are given.
+    """
     query = select(Chunk).where(Chunk.dataset_id == dataset_id).order_by(Chunk.first_frame)
     if frames is not None:
         query = query.where(Chunk.first_frame < frames)
     with store.reading() as session:
         keys = [chunk.key for chunk in session.scalars(query)]
+        if corrected is None:
+            corrected = corrections.of(session, DatasetRecord, dataset_id)
     if not keys:
         raise NotFoundError("dataset", dataset_id)
     try:
-        return concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
+        detected = concatenate([Capture.from_bytes(store.objects.get(key)) for key in keys])
     except FileNotFoundError as error:
         raise lost(store, DatasetRecord, dataset_id, error) from error
+    return corrections.applied(detected, corrected)
 
 
-def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture:
+def load_frames(
+    store: Store, dataset_id: str, start: int, stop: int, *, corrected: Corrections | None = None
+) -> Capture:
     """Read the frames from ``start`` up to ``stop``, and no others, without the ground truth.
+
+    Corrections are applied, as :func:`load` has it.
 
     Raises ``NotFoundError`` if there is no such dataset, or if it has not all of these frames.
     """
@@ -252,10 +269,12 @@ def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture
     )
     with store.reading() as session:
         chunks = list(session.scalars(query))
+        if corrected is None:
+            corrected = corrections.of(session, DatasetRecord, dataset_id)
     if not chunks or chunks[-1].first_frame + chunks[-1].frames < stop:
         raise NotFoundError("dataset", dataset_id)
     try:
-        return concatenate(
+        detected = concatenate(
             [
                 Capture.frames_from(
                     partial(store.objects.get_range, chunk.key),
@@ -269,6 +288,7 @@ def load_frames(store: Store, dataset_id: str, start: int, stop: int) -> Capture
         )
     except FileNotFoundError as error:
         raise lost(store, DatasetRecord, dataset_id, error) from error
+    return corrections.applied(detected, corrected, start)
 
 
 def delete(store: Store, dataset_id: str) -> None:

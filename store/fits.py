@@ -18,8 +18,9 @@ from sqlalchemy.orm import Session
 from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
 from models.settings.priors import ARCHITECTURE
-from store import clock, jobs, webhooks
+from store import clock, corrections, datasets, jobs, webhooks
 from store.authors import author_of, owned_by
+from store.capture import Capture
 from store.database import Store
 from store.disposal import condemn
 from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
@@ -85,6 +86,7 @@ def create(
             config=filled_in,
             from_model=source and source.id,
             job_id=job_id or fit_id,
+            **corrections.columns(corrections.of(session, DatasetRecord, dataset_id)),
             **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
         )
@@ -312,6 +314,16 @@ def _end(session: Session, fit: FitRecord, status: str, now: float) -> None:
     fit.lease_expires_at = fit.checkpoint_key = None
     fit.stored_bytes = 0
     webhooks.announce(session, fit)
+
+
+def load_fitted(store: Store, fit: FitRecord) -> Capture:
+    """Return the capture that a fit sees: its frames, with the corrections it was made with.
+
+    Raises ``NotFoundError`` if the dataset was deleted.
+    """
+    with store.reading() as session:
+        corrected = corrections.of(session, FitRecord, fit.id)
+    return datasets.load(store, fit.dataset_id, frames=fit.frames, corrected=corrected)
 
 
 def reconstruction_key(fit: FitRecord) -> str:

@@ -15,7 +15,7 @@ from sqlalchemy import delete as sql_delete
 from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
-from store import clock, jobs, webhooks
+from store import clock, corrections, jobs, webhooks
 from store.account import PART_BYTES
 from store.authors import author_of, owned_by
 from store.database import Store
@@ -90,6 +90,7 @@ def create(
             chunks=len(chunks),
             stored_bytes=len(chunks) * PART_BYTES,
             job_id=job_id or lift_id,
+            **corrections.columns(corrections.of(session, DatasetRecord, dataset_id)),
             **owned_by(author_of(session)) | {"project": dataset.project},
             **labels.columns(),
         )

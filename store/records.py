@@ -51,7 +51,19 @@ class Labelled:
     user_metadata: Mapped[dict[str, Any] | None]
 
 
-class DatasetRecord(Labelled, Owned, Record):
+class Corrected:
+    """Columns of what has corrections of keypoints; see ``store.corrections``.
+
+    Rows ``[frame, view, keypoint, x, y]`` in their order, of removed keypoints without x and y.
+    They may be many, so whoever needs them asks for them; the checksum is of them.
+    """
+
+    corrections: Mapped[list[Any] | None] = mapped_column(deferred=True)
+    corrections_count: Mapped[int] = mapped_column(default=0, server_default="0")
+    corrections_checksum: Mapped[str | None]
+
+
+class DatasetRecord(Corrected, Labelled, Owned, Record):
     """A stored capture: what is known of it without reading its arrays."""
 
     noun: ClassVar = "dataset"  # in messages and URLs
@@ -77,7 +89,7 @@ class DatasetRecord(Labelled, Owned, Record):
     findings: Mapped[list[Any] | None]  # as JSON, see models.findings; None: never looked for
     kept_bytes: Mapped[int] = kept(
         *("tags", "user_metadata", "observed", "skeleton", "image_sizes"),
-        *("last_times", "view_names", "notes", "findings", "calibration"),
+        *("last_times", "view_names", "notes", "findings", "calibration", "corrections"),
     )
 
 
@@ -94,10 +106,11 @@ class Chunk(Record):
     key: Mapped[str]
 
 
-class Job(Labelled, Owned):
+class Job(Corrected, Labelled, Owned):
     """Columns of what the queue carries. ``status`` is the one truth about it.
 
-    ``revision`` grows with every visible change.
+    ``revision`` grows with every visible change. Its corrections are those that the dataset had
+    when the job was made: it sees no others, however often it is started.
     """
 
     id: Mapped[str] = mapped_column(primary_key=True)
@@ -139,7 +152,7 @@ class FitRecord(Job, Record):
     model_id: Mapped[str | None] = mapped_column(index=True)
     version: Mapped[str | None]  # of Fewview that ended it; None: it goes on, or nobody noted it
     kept_bytes: Mapped[int] = kept(
-        "tags", "user_metadata", "error", "findings", "config", "progress"
+        "tags", "user_metadata", "error", "findings", "config", "progress", "corrections"
     )
 
 
@@ -163,7 +176,7 @@ class LiftRecord(Job, Record):
     seconds_left: Mapped[float | None]
     layout: Mapped[list[Any] | None]  # of a frame's arrays, see store.lift_files
     kept_bytes: Mapped[int] = kept(
-        "tags", "user_metadata", "error", "findings", "views", "up", "layout"
+        "tags", "user_metadata", "error", "findings", "views", "up", "layout", "corrections"
     )
 
 

@@ -28,6 +28,7 @@ from store.attempts import Attempt
 from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
+from store.fits import load_fitted
 from store.records import DatasetRecord, FitRecord, ModelRecord
 from worker.cores import usable_cores
 from worker.heartbeat import Heartbeat
@@ -188,7 +189,7 @@ def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> st
 def _load(store: Store, attempt: Attempt) -> tuple[FitRecord, DatasetRecord, Capture, bytes | None]:
     fit = lookup.get(store, FitRecord, attempt.fit_id)
     dataset = lookup.get(store, DatasetRecord, fit.dataset_id)
-    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    capture = load_fitted(store, fit)
     return fit, dataset, capture, attempts.load_checkpoint(store, fit.id)
 
 

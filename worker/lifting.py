@@ -14,7 +14,7 @@ from models.lifting.lift import LiftedFrames, join
 from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
-from store import datasets, lift_chunks, lookup, models
+from store import corrections, datasets, lift_chunks, lookup, models
 from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import ConflictError
@@ -99,7 +99,10 @@ def _load_in_step(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: Fitte
     """Load a chunk's frames with the views in step, if the dataset has times."""
     dataset = lookup.get(store, DatasetRecord, lift.dataset_id)
     own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
-    capture = datasets.load_frames(store, dataset.id, own.start, own.stop)
+    with store.reading() as session:
+        corrected = corrections.of(session, LiftRecord, lift.id)
+    read = partial(datasets.load_frames, store, dataset.id, corrected=corrected)
+    capture = read(own.start, own.stop)
     times = datasets.times_of(dataset, capture, own.start)
     if times is None:
         return _Loaded(capture, None, slice(0, chunk.frames))
@@ -110,10 +113,10 @@ def _load_in_step(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: Fitte
         around = slice(max(around.start - apart - AROUND, 0), around.stop + apart + AROUND)
     if around != own:
         stop = min(around.stop, lift.frames)
-        capture = datasets.load_frames(store, dataset.id, around.start, stop)
+        capture = read(around.start, stop)
         times = datasets.times_of(dataset, capture, around.start)
-    read = in_step(capture.keypoints, capture.confidence, times, clocks)
-    return _Loaded(Capture(*read), times, slice(own.start - around.start, own.stop - around.start))
+    moved = in_step(capture.keypoints, capture.confidence, times, clocks)
+    return _Loaded(Capture(*moved), times, slice(own.start - around.start, own.stop - around.start))
 
 
 def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> LiftedFrames:

@@ -25,7 +25,13 @@ class Accepted(NamedTuple):
     detected: Bool  # (N, K, P) labels whose keypoint the view itself detected rightly
 
 
-def accept(filmed: Filmed, evidence: Evidence, sizes: Sizes, source: Source) -> Accepted:
+def accept(
+    filmed: Filmed,
+    evidence: Evidence,
+    sizes: Sizes,
+    source: Source,
+    corrected: Bool | None = None,
+) -> Accepted:
     """Return the accepted keypoints of all frames.
 
     The weight is `(1 - p) (1 - 2^-s) / (1 + (d / 4)^2)`: p is the probability that the view's own
@@ -41,6 +47,9 @@ def accept(filmed: Filmed, evidence: Evidence, sizes: Sizes, source: Source) -> 
     source
         Reprojections are where the fit shows a keypoint, if the view itself or two others saw it;
         keypoints are those of the detector that the fit agrees with.
+    corrected
+        (N, K, P) keypoints that a human put right or removed: whatever the fit makes of them, they
+        are labels of weight 1 as they are, if their place is inside the image, or none.
     """
     own = evidence.accepted
     if source == "keypoints":
@@ -53,6 +62,12 @@ def accept(filmed: Filmed, evidence: Evidence, sizes: Sizes, source: Source) -> 
     support = 1 - np.exp2(-(evidence.others + own).astype(np.float64))
     with np.errstate(invalid="ignore"):
         weights = (1 - doubt) * support / (1 + np.square(apart / FAR))
+    if corrected is not None:
+        seen = np.isfinite(filmed.keypoints).all(-1) & inside(filmed.keypoints, sizes)
+        there = np.where(corrected, seen, there)
+        own = own | corrected
+        places = np.where(corrected[..., None], filmed.keypoints, places)
+        weights = np.where(corrected, 1.0, weights)
     return Accepted(
         keypoints=_rounded(np.where(there[..., None], places, np.nan)),
         weights=_rounded(np.where(there, weights, 0.0)),

@@ -30,7 +30,8 @@ def etag_of(record: Any) -> str:
     """Return the strong entity tag (RFC 9110, 8.8.3) of what is stored of a record."""
     if isinstance(record, Job):
         return f'"{record.revision}"'
-    written = [each.key for each in inspect(type(record)).columns if each.computed is None]
+    # What is not read with the record is computed, or has a checksum beside it.
+    written = [each.key for each in inspect(type(record)).column_attrs if not each.deferred]
     columns = {name: getattr(record, name) for name in written}
     return f'"{hashlib.sha256(orjson.dumps(columns)).hexdigest()[:32]}"'
 

@@ -31,6 +31,7 @@ from service.resources.dataset_bodies import (
 )
 from service.resources.lists import Page, add_list_routes, page_of
 from service.wire.calibrations import CaptureCalibration
+from service.wire.corrections import CorrectionsState
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
@@ -68,6 +69,10 @@ class DatasetStored(BaseModel):
 
     id: str
     created_at: datetime
+    corrections: CorrectionsState = Field(
+        description="Keypoints that were corrected since: what else is here is of all frames as "
+        "they were uploaded, but for `findings`."
+    )
 
 
 class DatasetFacts(BaseModel):
@@ -135,6 +140,7 @@ class Dataset(DatasetFacts, DatasetStored):
             "example": {
                 "id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "created_at": "2026-03-01T09:30:00Z",
+                "corrections": {"count": 0, "checksum": None},
                 **DESCRIBED,
             }
         }
@@ -144,7 +150,8 @@ class Dataset(DatasetFacts, DatasetStored):
     def of(cls, record: records.DatasetRecord) -> Self:
         """Return the wire form of a record."""
         created_at = datetime.fromtimestamp(record.created_at, UTC)
-        return cls(id=record.id, created_at=created_at, **cls.known(record))
+        corrected = CorrectionsState.of(record)
+        return cls(id=record.id, created_at=created_at, corrections=corrected, **cls.known(record))
 
 
 class DatasetPage(Page[Dataset]):

@@ -32,6 +32,7 @@ from service.resources.jobs import (
     job_columns,
 )
 from service.resources.lists import Columns, Page, add_list_routes, page_of
+from service.wire.corrections import CorrectionsState
 from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
@@ -126,6 +127,7 @@ class Fit(BaseModel):
                 "status": "running",
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "frames": 3309,
+                "corrections": {"count": 0, "checksum": None},
                 "from_model": None,
                 "config": FitConfig().model_dump(mode="json"),
                 "tags": ["pilot"],
@@ -159,6 +161,9 @@ class Fit(BaseModel):
     status: JobStatus
     dataset_id: str
     frames: int = Field(description="Frames the dataset had when the fit was made: those it sees.")
+    corrections: CorrectionsState = Field(
+        description="Of the dataset when this was made: it sees no others."
+    )
     from_model: str | None = Field(description="The model whose weights it started with.")
     config: FitConfig | None = Field(
         description="With defaults filled in; null if the job that asked for the fit had none that "
@@ -195,6 +200,7 @@ class Fit(BaseModel):
                 "status": record.status,
                 "dataset_id": record.dataset_id,
                 "frames": record.frames,
+                "corrections": CorrectionsState.of(record),
                 "from_model": record.from_model,
                 "config": record.config or None,
                 "job_id": record.job_id,

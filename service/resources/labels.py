@@ -2,7 +2,9 @@
 
 from typing import Annotated, NamedTuple
 
+import numpy as np
 from fastapi import APIRouter, Depends, Query, Request
+from numpy.typing import NDArray
 from starlette.responses import Response
 
 from models.capture.clocks import positions_in_step, times_of_views
@@ -31,9 +33,10 @@ from service.wire.labels import (
     frames_worth,
     labels_of,
     labels_zip,
+    with_corrected,
 )
 from service.wire.skeletons import Skeleton
-from store import datasets, lookup, records
+from store import corrections, dataset_changes, datasets, lookup, records
 from store.database import Store
 
 router = APIRouter(prefix="/fits", tags=["fits"])
@@ -60,6 +63,7 @@ class Material(NamedTuple):
     view_names: list[str]
     sizes: Sizes
     skeleton: Skeleton
+    corrected: NDArray[np.bool_]  # (N, K, P) by a human, in the views' own frames
 
     def ranked(self, most: int, apart: int) -> Ranking:
         """Return the images that are most worth labelling."""
@@ -79,7 +83,7 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
         422 if there is too much of it.
     """
     model = lookup.get(store, records.ModelRecord, model_of(fit))
-    dataset = lookup.get(store, records.DatasetRecord, fit.dataset_id)
+    dataset, known = dataset_changes.corrections_of(store, fit.dataset_id)
     views = dataset.views
     if fit.frames * views * model.keypoints > MOST_KEYPOINTS:
         raise invalid(
@@ -87,7 +91,7 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
             f"expected {MOST_KEYPOINTS} keypoints at most, frames times views times keypoints; "
             f"this fit has {fit.frames} x {views} x {model.keypoints}: fit the capture in parts",
         )
-    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    capture = datasets.load(store, fit.dataset_id, frames=fit.frames, corrected=known)
     found = stored_arrays(fit, store)
     warm = engine.models.read(store.project, model.id)
     cameras, times = warm.prior.cameras, datasets.times_of(dataset, capture)
@@ -104,6 +108,7 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
         dataset.view_names or [f"view{view}" for view in range(views)],
         [None if size is None else (int(size[0]), int(size[1])) for size in sizes],
         Skeleton.model_validate(model.skeleton or {}),
+        corrections.places_of(known, capture.keypoints.shape[:3]),
     )
 
 
@@ -189,16 +194,21 @@ def download_labels(
 ) -> Response:
     """Download the keypoints that the fit accepts, as labels to train a detector on.
 
+    Keypoints that were corrected in the dataset are labels of weight 1 where they were put, removed
+    ones are none, and their images are among those written, besides `most`.
+
     Images are named `labeled-data/VIEW/img0123.png`, by the frame in the view's own film.
     """
     material = read_material(fit, store, engine, rooms)
-    accepted = accept(material.filmed, material.evidence, material.sizes, source)
+    corrected = material.corrected
+    accepted = accept(material.filmed, material.evidence, material.sizes, source, corrected)
     frames: Frames
     if images == "all":
-        frames = frames_of_all(accepted, most)
+        frames = with_corrected(frames_of_all(accepted, most), corrected)
     else:
         ranking = material.ranked(min(most or USUALLY_LISTED, MOST_LISTED), apart)
-        frames = frames_worth(ranking, material.filmed, together=format in TOGETHER)
+        together = format in TOGETHER
+        frames = frames_worth(ranking, material.filmed, corrected, together=together)
     if not any(map(len, frames)):
         raise invalid(
             "/images",

@@ -36,6 +36,7 @@ from service.resources.jobs import (
     job_columns,
 )
 from service.resources.lists import Columns, Page, add_list_routes, page_of
+from service.wire.corrections import CorrectionsState
 from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.requests import LiftCreate
@@ -90,6 +91,7 @@ class LiftJob(BaseModel):
                 "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
                 "frames": 1000000,
+                "corrections": {"count": 0, "checksum": None},
                 "refine": "auto",
                 "views": None,
                 "frame": "canonical",
@@ -118,6 +120,9 @@ class LiftJob(BaseModel):
     model_id: str
     dataset_id: str
     frames: int = Field(description="Frames the dataset had when the lift was made: those lifted.")
+    corrections: CorrectionsState = Field(
+        description="Of the dataset when this was made: it sees no others."
+    )
     refine: Refine | None
     views: list[int] | None
     frame: FrameOfReference = Field(description=FRAME_OF_REFERENCE)
@@ -136,12 +141,15 @@ class LiftJob(BaseModel):
     def of(cls, record: records.LiftRecord) -> Self:
         """Return the wire form of a record."""
         labels = labels_of(record)
-        plain = cls.model_fields.keys() - labels.keys() - {"progress"}
+        plain = cls.model_fields.keys() - labels.keys() - {"progress", "corrections"}
         shared = {name: getattr(record, name) for name in plain}
         shared["findings"] = record.findings or []
         shared["frame"] = record.frame or "canonical"  # of older versions
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
-        return cls.model_validate({**shared, **labels, "progress": progress})
+        corrected = CorrectionsState.of(record)
+        return cls.model_validate(
+            {**shared, **labels, "progress": progress, "corrections": corrected}
+        )
 
 
 class LiftPage(Page[LiftJob]):

@@ -264,7 +264,7 @@ def _lift_again(
             f"expected a fit of {settings.max_frames} frames at most, this one has {fit.frames}: "
             "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
         )
-    capture = datasets.load(store, fit.dataset_id, frames=fit.frames)
+    capture = fits.load_fitted(store, fit)
     prior = engine.models.get(store.project, model_id).prior
     times = datasets.times_of(lookup.get(store, records.DatasetRecord, fit.dataset_id), capture)
     keypoints, confidence = in_step(

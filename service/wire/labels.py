@@ -134,23 +134,38 @@ class FitLabels(BaseModel):
         )
 
 
-def frames_worth(ranking: worth.Ranking, filmed: Filmed, *, together: bool) -> Frames:
-    """Return the frames of each view that a ranking names.
+def frames_worth(
+    ranking: worth.Ranking, filmed: Filmed, corrected: NDArray[np.bool_], *, together: bool
+) -> Frames:
+    """Return the frames of each view that a ranking names, and those with corrections.
 
     Parameters
     ----------
+    corrected
+        (N, K, P) keypoints that a human put right or removed.
     together
         Whether every view has a frame of each moment that is named in any view; moments that some
         view did not film are left out.
     """
     views = filmed.moments.shape[1]
+    mended = corrected.any(-1)
     if not together:
         named = [[i.frame for i in ranking.images if i.view == view] for view in range(views)]
-        return [np.array(sorted(frames), np.int64) for frames in named]
-    moments = sorted({i.moment for i in ranking.images if i.moment is not None})
+        return with_corrected([np.array(frames, np.int64) for frames in named], corrected)
+    shown_by_hand = filmed.moments[mended]
+    by_hand = np.rint(shown_by_hand[np.isfinite(shown_by_hand)]).astype(np.int64).tolist()
+    moments = sorted({i.moment for i in ranking.images if i.moment is not None} | {*by_hand})
     shown = filmed.frames[moments]
     shown = np.rint(shown[np.isfinite(shown).all(1)]).astype(np.int64)
     return list(shown.T)
+
+
+def with_corrected(frames: Frames, corrected: NDArray[np.bool_]) -> Frames:
+    """Return frames of each view, in their order, and those where something is corrected."""
+    return [
+        np.union1d(chosen, np.flatnonzero(corrected[:, view].any(-1))).astype(np.int64)
+        for view, chosen in enumerate(frames)
+    ]
 
 
 def frames_of_all(accepted: Accepted, most: int | None) -> Frames:

@@ -141,6 +141,7 @@ def test_records_of_a_newer_version_are_refused(engine: Engine, own: StoreSettin
 
 
 OF_KEYS = ("project", "key_id", "stored_bytes")
+OF_CORRECTIONS = ("corrections", "corrections_count", "corrections_checksum")
 
 
 def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
@@ -153,6 +154,8 @@ def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
         execute(older, f"DROP INDEX account_of_{kind}")
         execute(older, f"ALTER TABLE {kind} DROP COLUMN kept_bytes")
         execute(older, *(f"ALTER TABLE {kind} DROP COLUMN {name}" for name in OF_KEYS))
+    for kind in ("datasets", "fits", "lifts"):
+        execute(older, *(f"ALTER TABLE {kind} DROP COLUMN {name}" for name in OF_CORRECTIONS))
     for column in ("findings", "calibration"):
         execute(older, f"ALTER TABLE datasets DROP COLUMN {column}")
     execute(older, *(f"ALTER TABLE {kind} DROP COLUMN version" for kind in ("fits", "models")))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fewview.api.arrays import to_npz
+from fewview.api.correction_forms import CorrectionsState, DatasetCorrections
 from fewview.api.downloads import download
 from fewview.api.forms import Dataset, form_in
 from fewview.api.lifting import identifier
@@ -18,6 +19,7 @@ from fewview.api.operations import Driver, operation
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import Stored, labels
 from fewview.capture import Capture
+from fewview.corrections import Correction, Place, as_sent
 from fewview.errors import FewviewError
 
 Source = Capture | ArrayLike | str | PathLike[str]
@@ -102,10 +104,75 @@ class Datasets(Stored[Driver, Dataset]):
         return described
 
     @operation
-    def download(self, dataset: Dataset | str, file: str | PathLike[str]) -> Steps[Path]:
+    def corrections(self, dataset: Dataset | str) -> Steps[DatasetCorrections]:
+        """Return the keypoints of a dataset that were corrected or removed.
+
+        Raises
+        ------
+        NotFound
+            There is no such dataset.
+        """
+        where = path("datasets", identifier(dataset), "corrections")
+        return self._call(Request("GET", where, form_in(DatasetCorrections)))
+
+    @operation
+    def correct(
+        self,
+        dataset: Dataset | str,
+        corrections: Iterable[Correction] = (),
+        *,
+        undo: Iterable[Place] = (),
+        dry_run: bool = False,
+    ) -> Steps[CorrectionsState]:
+        """Correct or remove keypoints, and undo earlier corrections; all or nothing.
+
+        What was detected is kept. Fits and lifts that are made from now on see the corrections.
+
+        Parameters
+        ----------
+        corrections
+            They replace earlier ones of the same keypoints in the same frames.
+        undo
+            Keypoints that are again as they were detected; corrections will do.
+        dry_run
+            Check them, and change nothing.
+
+        Raises
+        ------
+        FormatError
+            A name is none of the dataset's views or keypoints.
+        InvalidRequest
+            A frame, view or keypoint is not in the dataset, or a position is far from the image.
+        """
+        corrected, undone = list(corrections), list(undo)
+        views = names = None
+        if any(isinstance(n, str) for p in (*corrected, *undone) for n in (p.view, p.keypoint)):
+            known = (yield from self._call(self._get(identifier(dataset)))).raw
+            views, names = known["view_names"], (known["skeleton"] or {}).get("keypoint_names")
+        body = {
+            "correct": [as_sent(each, views, names) for each in corrected],
+            "undo": [
+                as_sent(Place(each.frame, each.view, each.keypoint), views, names)
+                for each in undone
+            ],
+        }
+        request = Request(
+            "PATCH",
+            path("datasets", identifier(dataset), "corrections"),
+            form_in(CorrectionsState),
+            params={"dry_run": dry_run or None},
+            body={"json": body},
+        )
+        return (yield from self._call(request))
+
+    @operation
+    def download(
+        self, dataset: Dataset | str, file: str | PathLike[str], *, corrected: bool = True
+    ) -> Steps[Path]:
         """Download a dataset's capture into an npz file; what broke off goes on where it was.
 
-        It holds what was uploaded, to the last bit: :func:`fewview.read` reads it.
+        It holds what was uploaded, to the last bit, but for keypoints that were corrected since,
+        unless ``corrected`` is false: :func:`fewview.read` reads it.
 
         Raises
         ------
@@ -113,7 +180,8 @@ class Datasets(Stored[Driver, Dataset]):
             There is no such dataset.
         """
         where = path("datasets", identifier(dataset), "capture")
-        return download(where, Path(file), self._patience)
+        query = {} if corrected else {"corrected": "false"}
+        return download(where, Path(file), self._patience, **query)
 
 
 def to_capture(source: Source) -> Capture:

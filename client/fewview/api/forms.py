@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 import httpx2
 import numpy as np
 
+from fewview.api.correction_forms import NOT_CORRECTED, CorrectionsState
 from fewview.capture import Float64
 
 Form = TypeVar("Form")
@@ -90,6 +91,7 @@ class Dataset(Described):
     checksum: str
     findings: tuple[Finding, ...] = ()
     view_names: tuple[str, ...] | None = None
+    corrections: CorrectionsState = NOT_CORRECTED  # keypoints that were corrected since
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class Job(Described):
     finished_at: datetime | None
     error: JobError | None
     findings: tuple[Finding, ...] = ()
+    corrections: CorrectionsState = NOT_CORRECTED  # of the dataset when the job was made
 
     @property
     def ended(self) -> bool:

@@ -51,7 +51,8 @@ def labels(
         limit = None if every or most is None else min(most, LISTED)
         found = client.fits.labels(done, limit=limit)
         result = found.raw | {"files": []}
-        if output is not None and (every or found.images):
+        corrected = client.datasets.get(done.dataset_id).corrections.count
+        if output is not None and (every or found.images or corrected):
             files = client.fits.download_labels(
                 done,
                 output,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fewview.commands.corrections import correct, list_corrections, undo
 from fewview.commands.talking import (
     FAILED,
     AsJson,
@@ -68,6 +69,10 @@ def commands_of(kind: str) -> typer.Typer:
     _add_delete(app, kind)
     if kind == "models":
         app.command()(upload)
+    if kind == "datasets":
+        app.command()(correct)
+        app.command("corrections")(list_corrections)
+        app.command()(undo)
     return app
 
 
