@@ -64,8 +64,8 @@ export async function askJson<T>(path: string, init?: RequestInit): Promise<T> {
 }
 
 /** Returns an answer and its entity tag, with which a change is refused if another came before it. */
-export async function askTagged<T>(path: string): Promise<{ found: T; tag: string | null }> {
-  const answer = await ask(path);
+export async function askTagged<T>(path: string, init?: RequestInit): Promise<{ found: T; tag: string | null }> {
+  const answer = await ask(path, init);
   return { found: (await answer.json()) as T, tag: answer.headers.get("ETag") };
 }
 
@@ -88,8 +88,13 @@ export async function askRange(
 }
 
 /** @param tag of what the body changes, if that must not have changed meanwhile */
-export function sendJson<T>(path: string, body: unknown, method = "POST", tag: string | null = null): Promise<T> {
-  return askJson<T>(path, {
+export async function sendJson<T>(path: string, body: unknown, method = "POST", tag: string | null = null): Promise<T> {
+  return (await sendTagged<T>(path, body, method, tag)).found;
+}
+
+/** Does the same, and returns the entity tag of what is changed, too. */
+export function sendTagged<T>(path: string, body: unknown, method: string, tag: string | null) {
+  return askTagged<T>(path, {
     method,
     body: JSON.stringify(body),
     headers: { "Content-Type": "application/json", ...(tag !== null && { "If-Match": tag }) },

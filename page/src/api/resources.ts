@@ -1,6 +1,6 @@
 /** The service's resources that the page shows, in the types of its OpenAPI document. */
 
-import { ask, askBytes, askJson, askTagged, sendJson } from "./http.ts";
+import { ask, askBytes, askJson, askTagged, sendJson, sendTagged } from "./http.ts";
 import type { components } from "./openapi.d.ts";
 
 type Schemas = components["schemas"];
@@ -11,6 +11,8 @@ export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
 export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
+export type DatasetCorrections = Schemas["DatasetCorrections"];
+export type CorrectionsState = Schemas["CorrectionsState"];
 export type Finding = Schemas["FindingForm"];
 export type Alias = Schemas["Alias"];
 export type KnownSkeleton = Schemas["KnownSkeleton"];
@@ -31,7 +33,13 @@ export const changeDataset = (id: string, change: object, tag: string | null = n
 export const listSkeletons = () => askJson<{ items: KnownSkeleton[] }>("skeletons");
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
 export const getCameras = (id: string) => askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
-export const capturePath = (id: string) => `datasets/${encodeURIComponent(id)}/capture`;
+/** @param corrected whether corrections are applied, or keypoints as they were detected */
+export const capturePath = (id: string, corrected: boolean) =>
+  `datasets/${encodeURIComponent(id)}/capture${corrected ? "" : "?corrected=false"}`;
+export const readCorrections = (id: string) =>
+  askTagged<DatasetCorrections>(`datasets/${encodeURIComponent(id)}/corrections`);
+export const correctKeypoints = (id: string, change: object, tag: string | null) =>
+  sendTagged<CorrectionsState>(`datasets/${encodeURIComponent(id)}/corrections`, change, "PATCH", tag);
 export const getReconstruction = (fit: string, query: string) =>
   askBytes(`fits/${encodeURIComponent(fit)}/reconstruction?format=safetensors${query}`);
 /** Returns the cameras of a calibration file for the views of a dataset. */

@@ -1,8 +1,18 @@
 /** Loads what the result screen draws first; more comes as it is looked at. */
 
-import { getCameras, getModel, getReconstruction, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
+import {
+  getCameras,
+  getModel,
+  getReconstruction,
+  readCorrections,
+  type DatasetCorrections,
+  type Fit,
+  type Model,
+  type ModelCameras,
+} from "../api/resources.ts";
 import { Refusal } from "../api/http.ts";
 import type { CaptureFile } from "./capture.ts";
+import { createCorrected, type Corrected } from "./corrections.ts";
 import { createLoader, partsOf, structures, type Loader } from "./loader.ts";
 import { remoteCapture } from "./remote.ts";
 import { readSafetensors } from "./safetensors.ts";
@@ -16,6 +26,9 @@ export interface Result {
   file: CaptureFile;
   loader: Loader;
   query: string; // of the frame of reference
+  corrected: Corrected;
+  corrections: DatasetCorrections; // as they were loaded
+  correctionsTag: string | null;
 }
 
 /** What structures are wanted in: the best frame of reference that there is, unless it is the canonical one or a
@@ -56,10 +69,13 @@ export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsk
   }
   const model = getModel(fit.model_id);
   model.catch(() => {}); // it is waited for below
-  const [file, cameras] = await Promise.all([
-    unlessGone(remoteCapture(fit.dataset_id), CAPTURE_GONE),
+  const [detectedFile, cameras, { found: corrections, tag: correctionsTag }] = await Promise.all([
+    unlessGone(remoteCapture(fit.dataset_id, false), CAPTURE_GONE),
     unlessGone(getCameras(fit.model_id), MODEL_GONE),
+    unlessGone(readCorrections(fit.dataset_id), CAPTURE_GONE),
   ]);
+  const corrected = createCorrected(detectedFile.capture, corrections.items);
+  const file = correctedFile(detectedFile, corrected);
   const { size, step } = partsOf(fit.frames, file.capture);
   const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
   const end = Math.min(fit.frames, first + size);
@@ -77,9 +93,22 @@ export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsk
   if (overview !== null) putStructures(take, overview, 0, step);
   putStructures(take, part, first, 1);
   putDetected(take, seen, first);
+  corrected.show(take);
   const query = queryFor(frame, axes);
   const loader = createLoader(take, file, fit.id, query, first);
-  return { take, model: await model, cameras, file, loader, query };
+  return { take, model: await model, cameras, file, loader, query, corrected, corrections, correctionsTag };
+}
+
+/** Returns a file whose keypoints are corrected as they are read. */
+function correctedFile(file: CaptureFile, corrected: Corrected): CaptureFile {
+  return {
+    ...file,
+    async detected(first, end) {
+      const pixels = await file.detected(first, end);
+      corrected.over(pixels, first);
+      return pixels;
+    },
+  };
 }
 
 /** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */

@@ -5,9 +5,11 @@ import { capturePath } from "../api/resources.ts";
 import { openCapture, type CaptureFile } from "./capture.ts";
 import { HEADER, TAIL } from "./npz.ts";
 
-/** Opens the capture of a dataset. Its head and its tail say where all of it is. */
-export async function remoteCapture(dataset: string): Promise<CaptureFile> {
-  const path = capturePath(dataset);
+/** Opens the capture of a dataset. Its head and its tail say where all of it is.
+ *
+ * @param corrected whether keypoints are as they were corrected since, or as they were detected */
+export async function remoteCapture(dataset: string, corrected = true): Promise<CaptureFile> {
+  const path = capturePath(dataset, corrected);
   const [head, tail] = await Promise.all([askRange(path, 0, HEADER), askRange(path, -TAIL)]);
   const from = tail.size - tail.bytes.byteLength;
   const read = async (start: number, end: number) => {

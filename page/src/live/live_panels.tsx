@@ -129,7 +129,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   const shown: Shown = {
     ...{ config, take: feed.take, player, loop, theme, posed, version: 0, done: false },
     ...selection,
-    ...{ through, lookThrough, joined: null },
+    ...{ through, lookThrough, joined: null, editing: null },
   };
   return { feed, shown, come };
 }

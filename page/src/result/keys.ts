@@ -10,6 +10,7 @@ export const SHORTCUTS: [string, string][] = [
   ["Home End", "the first or the last frame"],
   ["W", "the next of the worst frames; with Shift the one before"],
   ["1 – 9", "look through a view; Esc leaves it"],
+  ["Del Ctrl+Z", "while keypoints are corrected: remove the selected one; undo"],
   ["Esc", "no keypoint is selected any more"],
   ["F", "show the subject"],
   ["C", "show the cameras"],

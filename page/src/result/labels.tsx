@@ -20,7 +20,7 @@ const FORMATS = [
 ] as const;
 
 export function Labels() {
-  const { fit } = useShow();
+  const { fit, editing } = useShow();
   const [found, setFound] = useState<FitLabels | null>(null);
   const [trouble, setTrouble] = useState<string | null>(null);
   const look = () =>
@@ -43,7 +43,7 @@ export function Labels() {
       {found !== null && <WorthLabelling found={found} />}
       <Downloads
         groups={[
-          ...(found === null || found.images.length === 0
+          ...(found === null || found.images.length + editing.list.length === 0
             ? []
             : [["These, put right by the fit", entries("worth-labelling")] as [string, Entry[]]]),
           ["All keypoints that the fit accepts", entries("all")],

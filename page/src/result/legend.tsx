@@ -23,6 +23,9 @@ export function Legend({ crop, setCrop }: { crop: Crop; setCrop: (crop: Crop) =>
       <span>
         <i class="cross">×</i> outlier
       </span>
+      <span>
+        <i class="box">□</i> corrected
+      </span>
       <label class="check last">
         views show
         <select value={crop} onChange={(event) => setCrop(event.currentTarget.value as Crop)}>

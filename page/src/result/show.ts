@@ -8,6 +8,7 @@ import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
 import type { KeypointErrors } from "../science/errors.ts";
 import type { Numbers } from "../science/numbers.ts";
+import type { Editing } from "./correcting/use_editing.ts";
 import type { Loop } from "./loop.ts";
 import type { Player } from "./player.ts";
 import type { Selection } from "./selection.ts";
@@ -31,6 +32,7 @@ export interface Shown extends Selection {
   joined: Joined | null; // null: the edges are those of the skeleton
   through: number | null; // view
   lookThrough(view: number | null): void;
+  editing: Editing | null; // null where keypoints cannot be corrected
 }
 
 /** What is laid over the structure. */
@@ -44,6 +46,7 @@ export interface Overlay {
 /** The result of a fit. */
 export interface Show extends Shown {
   fit: Fit;
+  editing: Editing;
   model: Model;
   cameras: ModelCameras;
   file: CaptureFile;

@@ -11,6 +11,7 @@ import { frameErrors, keypointErrors } from "../science/errors.ts";
 import { frameFindings, rangesOf } from "../science/frame_findings.ts";
 import { WEAK } from "../science/projection.ts";
 import { worstFrames } from "../science/worst.ts";
+import { useEditing } from "./correcting/use_editing.ts";
 import { listenToKeys } from "./keys.ts";
 import { createLoop } from "./loop.ts";
 import { createPlayer, type Player } from "./player.ts";
@@ -48,6 +49,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
     // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   }, [fit, take, version]);
   const { errors, errorsDone } = useKeypointErrors(result, done);
+  const editing = useEditing(fit, result, loop);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
 
@@ -80,6 +82,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
       findings,
       errors,
       errorsDone,
+      editing,
     },
     ...selection,
     ...{ through, lookThrough, posed, overlay, setOverlay, joined, join, version, done, trouble },

@@ -18,14 +18,20 @@ export interface ViewDrawing {
     part: Part,
     selected: readonly number[],
     picture: CanvasImageSource | null,
+    isCorrected: (keypoint: number) => boolean,
   ): void;
   /** Returns where keypoints were drawn last, as they were detected or else as they project: (P, 2) pixels of
    * the page, NaN where they are not. */
   places(): Float32Array;
+  /** Returns the pixel of the image that was drawn at a place, which is in pixels of the page. */
+  imageAt(x: number, y: number): [number, number];
+  /** Returns where a keypoint was drawn, in pixels of the image; null if it was not. */
+  imageOf(keypoint: number): [number, number] | null;
 }
 
 const DOT = 2.4; // radius, in pixels of the page, as the others
 const RING = 6;
+const BOX = 5;
 const ARM = 3.6;
 const SIDES = [-1, 0, 1];
 
@@ -34,14 +40,21 @@ export function createViewDrawing(take: Take, view: number, edges: Joined["edges
   const projected = new Float32Array(2 * keypoints).fill(NaN); // pixels of the canvas, as the next
   const detected = new Float32Array(2 * keypoints).fill(NaN);
   const kinds = new Int8Array(keypoints);
+  const drawn = { left: 0, top: 0, scale: 1 }; // where the image lies on the canvas
+  const imageAt = (x: number, y: number): [number, number] => [
+    (x * pixelRatio() - drawn.left) / drawn.scale,
+    (y * pixelRatio() - drawn.top) / drawn.scale,
+  ];
+  const places = () => placesIn(detected, projected).map((pixels) => pixels / pixelRatio());
 
   return {
-    draw(context, frame, theme, part, selected, picture) {
+    draw(context, frame, theme, part, selected, picture, isCorrected) {
       const { canvas } = context;
       const ratio = pixelRatio();
       const scale = Math.min(canvas.width / part.width, canvas.height / part.height);
       const left = (canvas.width - scale * part.width) / 2 - scale * part.x;
       const top = (canvas.height - scale * part.height) / 2 - scale * part.y;
+      Object.assign(drawn, { left, top, scale });
       context.clearRect(0, 0, canvas.width, canvas.height);
       drawImage(context, take.imageSizes[view] ?? null, picture, theme, { left, top, scale, ratio });
       const camera = frame * views + view;
@@ -53,15 +66,23 @@ export function createViewDrawing(take: Take, view: number, edges: Joined["edges
         projected[at + 1] = top + scale * projected[at + 1]!;
         detected[at] = known ? left + scale * take.detected[seen]! : NaN;
         detected[at + 1] = top + scale * take.detected[seen + 1]!;
-        kinds[at / 2] = kindOf(take, camera, at / 2);
+        kinds[at / 2] = isCorrected(at / 2) ? take.sides[at / 2]! : kindOf(take, camera, at / 2);
       }
       context.lineCap = "round";
       drawStructure(context, projected, edges, theme, ratio);
       drawMisses(context, detected, projected, kinds, theme, ratio);
       drawDetected(context, detected, kinds, theme, ratio);
+      for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+        if (isCorrected(keypoint)) drawBox(context, placesIn(detected, projected), keypoint, theme, ratio);
+      }
       for (const keypoint of selected) drawRing(context, placesIn(detected, projected), keypoint, theme, ratio);
     },
-    places: () => placesIn(detected, projected).map((pixels) => pixels / pixelRatio()),
+    places,
+    imageAt,
+    imageOf(keypoint) {
+      const [x, y] = pairAt(places(), keypoint);
+      return Number.isNaN(x) ? null : imageAt(x, y);
+    },
   };
 }
 
@@ -195,6 +216,22 @@ function drawRing(
   context.strokeStyle = theme.accent;
   context.lineWidth = 2 * ratio;
   context.stroke();
+}
+
+/** Draws a box about a keypoint that was corrected; of one that was removed, about where it projects to. */
+function drawBox(
+  context: CanvasRenderingContext2D,
+  places: Float32Array,
+  keypoint: number,
+  theme: Theme,
+  ratio: number,
+): void {
+  const [x, y] = pairAt(places, keypoint);
+  if (Number.isNaN(x)) return;
+  const side = 2 * BOX * ratio;
+  context.strokeStyle = theme.text;
+  context.lineWidth = 1.4 * ratio;
+  context.strokeRect(x - side / 2, y - side / 2, side, side);
 }
 
 function sizeOf(picture: CanvasImageSource): [number, number] {

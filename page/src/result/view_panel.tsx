@@ -5,20 +5,23 @@ import { nearest } from "../data/take.ts";
 import { keepSize } from "../parts/canvas_size.ts";
 import { number } from "../parts/format.ts";
 import { Icon } from "../parts/icons.tsx";
-import { partsOf, type Crop } from "./crop.ts";
+import { useHandle } from "./correcting/use_handle.ts";
+import { partsOf, type Crop, type Part } from "./crop.ts";
 import { openFilm, type Film } from "./film.ts";
 import { pickOn } from "./scene/picking.ts";
 import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done, joined } = useShown();
+  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done, joined, editing } = useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const edges = joined?.edges ?? take.edges;
   const drawing = useMemo(() => createViewDrawing(take, view, edges), [take, view, edges]);
   // eslint-disable-next-line react-hooks/exhaustive-deps -- the part follows what is detected, which comes by and by
   const partOf = useMemo(() => partsOf(take, view, crop), [take, view, crop, done]);
+  const { held, on, onKeyDown } = useHandle(canvas, drawing, view);
+  const part = useRef<Part | null>(null); // that is shown: it stays while a keypoint is held
   const [film, setFilm] = useState<Film | null>(null);
   const [offset, setOffset] = useState(0); // of the film, in frames of the capture
 
@@ -28,11 +31,13 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
     return loop.add(() => {
       const picture = player.frame + offset < 0 ? null : (film?.at(player.frame + offset, player.rate) ?? null);
       const frame = nearest(take, player.frame);
-      drawing.draw(context, frame, theme, partOf(frame), selected, picture);
+      if (!held.current || part.current === null) part.current = partOf(frame);
+      const isCorrected = (keypoint: number) => editing?.at({ frame, view, keypoint }) !== undefined;
+      drawing.draw(context, frame, theme, part.current, selected, picture, isCorrected);
       const pixels = take.viewErrors[player.frame * take.views + view];
       if (error.current !== null) error.current.textContent = `${number(pixels)} px`;
     });
-  }, [drawing, partOf, theme, selected, loop, player, take, view, film, offset]);
+  }, [drawing, partOf, theme, selected, loop, player, take, view, film, offset, editing, held]);
 
   useEffect(() => {
     if (canvas.current === null) return undefined;
@@ -104,7 +109,19 @@ export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
           </button>
         </div>
       )}
-      <canvas ref={canvas} role="img" aria-label={`${name}: detected keypoints, and the structure projected`} />
+      <canvas
+        ref={canvas}
+        role={on ? "application" : "img"}
+        tabIndex={on ? 0 : -1}
+        class={on ? "editable" : ""}
+        aria-label={
+          on
+            ? `${name}: arrows move the selected keypoint, Delete removes it`
+            : `${name}: detected keypoints, and the structure projected`
+        }
+        onFocus={() => editing?.setView(view)}
+        onKeyDown={onKeyDown}
+      />
     </figure>
   );
 }

@@ -7,6 +7,7 @@ import type { Axes, Result } from "../data/loading.ts";
 import { FindingList } from "../parts/finding_list.tsx";
 import { Verdict } from "../parts/verdict.tsx";
 import { Closer } from "./closer/closer.tsx";
+import { CorrectPanel } from "./correcting/correct_panel.tsx";
 import { CopyLink, Shortcuts, WorstFrames } from "./asides.tsx";
 import type { Crop } from "./crop.ts";
 import { Exports } from "./exports.tsx";
@@ -58,6 +59,7 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
           <Timeline />
           <Legend crop={crop} setCrop={setCrop} />
         </section>
+        <CorrectPanel />
         <Closer />
         <div class="facts-grid">
           <div class="stack">

@@ -11,8 +11,8 @@ from starlette.testclient import TestClient
 from tests.deployments import on_every_deployment
 from tests.service.conftest import JSON, Live, make_dataset, problem
 
-MOVED = {"frame": 3, "view": 1, "keypoint": 2, "position": [300.25, 200.5]}
-REMOVED = {"frame": 4, "view": 0, "keypoint": 0, "position": None}
+MOVED: dict[str, Any] = {"frame": 3, "view": 1, "keypoint": 2, "position": [300.25, 200.5]}
+REMOVED: dict[str, Any] = {"frame": 4, "view": 0, "keypoint": 0, "position": None}
 
 
 def place(correction: dict[str, Any]) -> dict[str, Any]:

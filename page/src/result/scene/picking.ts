@@ -3,9 +3,9 @@
 import { Matrix4, type PerspectiveCamera, Vector3 } from "three";
 import type { Numbers } from "../../science/numbers.ts";
 
-const REACH = 12; // pixels of the page around a keypoint that count as it,
-const TOUCHED = 24; // and around one that a finger points to
-const STILL = 5; // pixels that a pointer may move in a click
+export const REACH = 12; // pixels of the page around a keypoint that count as it,
+export const TOUCHED = 24; // and around one that a finger points to
+export const STILL = 5; // pixels that a pointer may move in a click
 
 export interface Picking {
   names: readonly string[];
