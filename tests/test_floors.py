@@ -56,7 +56,7 @@ PACKAGES = {
             "sockets",
             "upright",
         ),
-        ("calibration", "embedded", "keys", "reading_options"),
+        ("calibration", "corrections", "embedded", "keys", "reading_options"),
         ("gif", "readers"),
         ("api", "known_data"),
         ("client", "room"),

@@ -50,6 +50,10 @@ class Correction(KeypointPlace):
 class CorrectionsState(BaseModel):
     """Which corrections a dataset has, or a job was made with."""
 
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"count": 2, "checksum": f"sha256:{'9c1f' * 16}"}}
+    )
+
     count: int = Field(description="How many keypoints are corrected or removed.")
     checksum: str | None = Field(
         description="Of all of them: where it is the same, they are. Null without any."

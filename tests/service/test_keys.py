@@ -204,6 +204,7 @@ def test_a_stream_is_watched_with_a_key_that_reads(
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("post", "/datasets/{dataset_id}/frames"): {"json": FRAMES},
+    ("patch", "/datasets/{dataset_id}/corrections"): {"json": {}},
     ("patch", ""): {"json": {"name": "mine"}},
     ("put", ""): {"json": {"model_id": "mdl_none"}},
 }

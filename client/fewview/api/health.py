@@ -1,8 +1,9 @@
 """Health: is the service up, does it reach its parts, and which one is it."""
 
-from fewview.api.forms import Health, Queues, Storage, Version, form_in
+from fewview.api.forms import Health, Queues, Version, form_in
 from fewview.api.operations import Driver, Resource, operation
 from fewview.api.steps import Request, Steps
+from fewview.api.storage_forms import Storage
 
 
 class HealthChecks(Resource[Driver]):

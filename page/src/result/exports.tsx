@@ -20,7 +20,7 @@ const ANIMATIONS = [
 ] as const;
 
 export function Exports({ stage }: { stage: Stage | null }) {
-  const { fit, model, cameras, take, query: room } = useShow();
+  const { fit, model, cameras, take, query: room, editing } = useShow();
   const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
   const [range, setRange] = useState({ first: "", last: "" });
   const { slice, part } = sliceOf(range, take.frames);
@@ -39,13 +39,21 @@ export function Exports({ stage }: { stage: Stage | null }) {
           ],
           ["Animation, for other tools", animations, <UnitChoice key="unit" unit={unit} setUnit={setUnit} />],
           ...downloadsOf(model.id, cameras),
-          ["Capture, as it was uploaded", [["npz", `datasets/${fit.dataset_id}/capture`, `${fit.dataset_id}.npz`]]],
+          ["Capture", capturesOf(fit.dataset_id, editing.list.length > 0)],
         ]}
         hindered={(label) => (label === "TRC" && unit === "" ? "TRC names the unit: choose it" : undefined)}
       />
       {stage !== null && <Pictures stage={stage} />}
     </>
   );
+}
+
+/** Returns what can be saved of what the cameras saw. */
+function capturesOf(dataset: string, corrected: boolean): Entry[] {
+  const path = `datasets/${dataset}/capture`;
+  const entries: Entry[] = [["npz", path, `${dataset}.npz`]];
+  if (corrected) entries.push(["as detected", `${path}?corrected=false`, `${dataset}-detected.npz`]);
+  return entries;
 }
 
 /** Returns what can be saved of a fit's structures and cameras: with a query of

@@ -56,11 +56,14 @@ function act(event: KeyboardEvent, { player, worst, views, stage, lookThrough }:
   return action !== undefined;
 }
 
+export function afterInWorst(player: Player, worst: number[], step: 1 | -1): number | undefined {
+  const here = worst.indexOf(player.frame);
+  return worst[here < 0 ? 0 : (here + step + worst.length) % worst.length];
+}
+
 /** Goes through the worst frames in the order of how bad they are. */
 export function nextWorst(player: Player, worst: number[], step: 1 | -1): void {
-  const here = worst.indexOf(player.frame);
-  const next = here < 0 ? 0 : (here + step + worst.length) % worst.length;
-  const frame = worst[next];
+  const frame = afterInWorst(player, worst, step);
   if (frame === undefined) return; // there are none
   player.playing = false;
   player.show(frame);

@@ -179,7 +179,9 @@ def test_nothing_is_changed_that_has_changed_since_it_was_read(
             url = path.replace(f"/{kind[:-3]}s/{{{kind}}}", of_kind[kind])
             before = api.get(of_kind[kind]).json()
             body: dict[str, Any] = {"keypoints": [[[[1, 2]] * 16] * 2]}
-            if method == "patch":
+            if path.endswith("/corrections"):
+                body = {"correct": [{"frame": 0, "view": 0, "keypoint": 0, "position": None}]}
+            elif method == "patch":
                 body = {"name": "new"}
             elif method == "put":
                 url, body = alias, {"model_id": urls[3][8:]}

@@ -9,11 +9,12 @@ import { fitLike } from "../../remedies/fit_again.tsx";
 import { useAttempt } from "../../remedies/use_attempt.ts";
 import { goTo } from "../../route.ts";
 import { farthestOf } from "../../science/farthest.ts";
+import { afterInWorst } from "../keys.ts";
 import { useShow } from "../show.ts";
 import { SelectedKeypoint } from "./selected_keypoint.tsx";
 
 export function CorrectPanel() {
-  const { editing, player, setSelected } = useShow();
+  const { editing, player, setSelected, take } = useShow();
   const { on, setOn, list, undoable, undoLast, trouble, saving } = editing;
   const undo = () => {
     const place = undoLast();
@@ -23,7 +24,15 @@ export function CorrectPanel() {
     setSelected([place.keypoint]);
     editing.setView(place.view);
   };
-  useEditingKeys(undo);
+  const go = (to: number) => {
+    player.playing = false;
+    player.show(to);
+    const farthest = farthestOf(take, to);
+    if (farthest === null) return;
+    setSelected([farthest.keypoint]);
+    editing.setView(farthest.view);
+  };
+  useEditingKeys(undo, go);
   return (
     <section class="panel correcting" aria-label="Correct keypoints">
       <div class="buttons">
@@ -47,7 +56,7 @@ export function CorrectPanel() {
             the next of the worst frames, Delete removes the selected keypoint, and arrows move it in the view that has
             the focus.
           </p>
-          <WorstToCorrect />
+          <WorstToCorrect go={go} />
           <SelectedKeypoint />
         </>
       )}
@@ -56,19 +65,13 @@ export function CorrectPanel() {
   );
 }
 
-/** The worst frames, each with what was corrected in it. */
-function WorstToCorrect() {
-  const { worst, means, player, editing, take, setSelected } = useShow();
+/** The worst frames, each with what was corrected in it.
+ *
+ * @param go shows a frame, with the keypoint selected that is farthest from where it should be */
+function WorstToCorrect({ go }: { go: (frame: number) => void }) {
+  const { worst, means, editing } = useShow();
   const frame = useFrame();
   if (worst.length === 0) return null;
-  const go = (to: number) => {
-    player.playing = false;
-    player.show(to);
-    const farthest = farthestOf(take, to);
-    if (farthest === null) return;
-    setSelected([farthest.keypoint]);
-    editing.setView(farthest.view);
-  };
   const corrected = (at: number) => editing.list.filter((each) => each.frame === at).length;
   return (
     <div class="worst-list">
@@ -80,7 +83,6 @@ function WorstToCorrect() {
               {each} <span class="quiet">{number(means[each])} px</span>
               {corrected(each) > 0 && (
                 <>
-                  {" "}
                   <Icon name="check" />
                   <span class="unseen">, {corrected(each)} corrected</span>
                 </>
@@ -124,23 +126,26 @@ function Again() {
 }
 
 /** Listens to the keys that correct. */
-function useEditingKeys(undo: () => void): void {
-  const { editing, selected, player } = useShow();
+function useEditingKeys(undo: () => void, go: (frame: number) => void): void {
+  const { editing, selected, player, worst } = useShow();
   useEffect(() => {
     if (!editing.on) return undefined;
     const listen = (event: KeyboardEvent) => {
       const undoes = (event.ctrlKey || event.metaKey) && !event.shiftKey && event.key.toLowerCase() === "z";
       const typing = event.target instanceof Element && event.target.closest("input,select,textarea") !== null;
-      if (undoes && !typing) undo();
-      else if ((event.key === "Delete" || event.key === "Backspace") && !isTaken(event)) {
-        const keypoint = selected.at(-1);
-        if (keypoint === undefined) return;
+      if (undoes ? typing : isTaken(event)) return;
+      const keypoint = selected.at(-1);
+      const next = afterInWorst(player, worst, event.shiftKey ? -1 : 1);
+      if (undoes) undo();
+      else if (event.key.toLowerCase() === "w" && next !== undefined) go(next);
+      else if ((event.key === "Delete" || event.key === "Backspace") && keypoint !== undefined) {
         editing.put({ frame: player.frame, view: editing.view, keypoint }, null);
       } else return;
       event.preventDefault();
+      event.stopPropagation(); // the screen's own keys do less
     };
-    window.addEventListener("keydown", listen);
-    return () => window.removeEventListener("keydown", listen);
+    window.addEventListener("keydown", listen, { capture: true });
+    return () => window.removeEventListener("keydown", listen, { capture: true });
   });
 }
 

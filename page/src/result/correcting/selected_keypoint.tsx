@@ -26,13 +26,15 @@ export function SelectedKeypoint() {
             <tr key={view} aria-current={view === editing.view}>
               <th scope="row">{name}</th>
               <td>{inWords(correction, there)}</td>
-              <td class="buttons">
-                <button disabled={!there} onClick={() => editing.put(place, null)}>
-                  Remove <span class="unseen">it from {name}</span>
-                </button>
-                <button disabled={correction === undefined} onClick={() => editing.put(place, undefined)}>
-                  As detected <span class="unseen">in {name}</span>
-                </button>
+              <td>
+                <span class="buttons">
+                  <button disabled={!there} onClick={() => editing.put(place, null)}>
+                    Remove <span class="unseen">it from {name}</span>
+                  </button>
+                  <button disabled={correction === undefined} onClick={() => editing.put(place, undefined)}>
+                    As detected <span class="unseen">in {name}</span>
+                  </button>
+                </span>
               </td>
             </tr>
           );
