@@ -1,6 +1,7 @@
 """Corrections of a dataset's keypoints, and files of them: CSV with a correction a line."""
 
 import csv
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -120,7 +121,7 @@ def _correction(row: Mapping[str, str | None]) -> Correction:
         raise ValueError("expected a view and a keypoint, by name or counted from 0")
     if not x and not y:
         position = None
-    elif x and y:
+    elif x and y and math.isfinite(float(x)) and math.isfinite(float(y)):
         position = (float(x), float(y))
     else:
         raise ValueError("expected x and y in pixels, or neither, which removes the keypoint")

@@ -15,7 +15,7 @@ from fewview.commands.talking import fields_in
 from fewview.errors import Conflict
 from typer.testing import CliRunner
 
-from tests.client.conftest import Served
+from tests.client.conftest import Served, a_capture
 from tests.processes import free_port
 from tests.waiting import wait_for
 
@@ -173,6 +173,54 @@ def test_a_fit_is_given_a_calibration_file(served: Served, tmp_path: Path) -> No
     assert "has 2 cameras" in refused(fewview(*words, str(tmp_path / "two.yml")), 2)
     (tmp_path / "none.toml").write_text("a = 1")
     assert "has no cameras" in refused(fewview(*words, str(tmp_path / "none.toml")), 2)
+
+
+def test_keypoints_are_corrected_from_a_file_listed_and_undone(
+    served: Served, tmp_path: Path
+) -> None:
+    capture = replace(a_capture(frames=6), view_names=("left", "=right", "top"))
+    dataset, url = served.client.datasets.create(capture).id, f"--url={served.live.url}"
+    file, again = tmp_path / "corrections.csv", tmp_path / "again.csv"
+    file.write_text("frame,view,keypoint,x,y\n3,'=right,l_knee,412.5,230\n4,0,2,,\n")
+    correct = ("datasets", "correct", dataset, f"--file={file}", url)
+    assert "would have 2 corrections" in fewview(*correct, "--dry-run").stdout
+    assert served.client.datasets.get(dataset).corrections.count == 0
+    state = said(fewview(*correct, "--json"))
+    assert state["count"] == 2
+    assert served.client.datasets.get(dataset).corrections.checksum == state["checksum"]
+    knee = list(capture.keypoint_names or ()).index("l_knee")
+    place = {"frame": 3, "view": 1, "keypoint": knee}
+    listed = said(fewview("datasets", "corrections", dataset, "-o", str(again), "--json", url))
+    assert listed["items"][0] == place | {"position": [412.5, 230.0]}
+    lines = fewview("datasets", "corrections", dataset, url).stdout.splitlines()
+    assert lines[1].split() == ["3", "=right", "l_knee", "412.5", "230.0"]
+    assert lines[2].split()[-1] == "removed"
+
+    downloaded = served.client.datasets.download(dataset, tmp_path / "corrected.npz")
+    detected = served.client.datasets.download(dataset, tmp_path / "raw.npz", corrected=False)
+    with np.load(downloaded) as now, np.load(detected) as before:
+        assert now["keypoints"][3, 1, knee].tolist() == [412.5, 230.0]
+        np.testing.assert_array_equal(before["keypoints"], capture.keypoints)
+
+    undo = ("datasets", "undo", dataset, url)
+    assert "--all" in refused(fewview(*undo), 2)
+    assert "undid 1 correction;" in fewview(*undo, "--keypoint=l_knee").stdout
+    assert "undid 1 correction;" in fewview(*undo, "--all").stdout
+    assert served.client.datasets.corrections(dataset).items == ()
+    assert said(fewview(*correct[:3], f"--file={again}", "--json", url)) == state
+
+    for row, words in (
+        ("3,left,elbow,1,2", "no keypoint of the dataset is 'elbow': expected one of l_"),
+        ("3,left,l_knee,1,", "line 2: expected x and y in pixels, or neither"),
+        ("x,left,l_knee,1,2", "line 2: expected a frame"),
+        ("6,left,l_knee,1,2", "expected a frame from 0 to 5"),
+        ("3,left,l_knee,nan,2", "line 2: expected x and y in pixels"),
+        ("3,left,l_knee,a,2", "line 2: could not convert"),
+    ):
+        file.write_text(f"frame,view,keypoint,x,y\n{row}\n")
+        assert words in refused(fewview(*correct), 2)
+    file.write_text("frame,x,y\n")
+    assert "there is no view" in refused(fewview(*correct), 2)
 
 
 def test_labels_choose_what_is_listed_changed_and_deleted(served: Served, tmp_path: Path) -> None:

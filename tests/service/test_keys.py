@@ -13,12 +13,7 @@ from store import access_keys
 from store.access_keys import SCOPES
 from store.database import Store
 from store.quotas import Quotas
-from tests.service.conftest import (
-    CONFIG,
-    JSON,
-    frames_of,
-    problem,
-)
+from tests.service.conftest import CONFIG, JSON, frames_of, problem
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("keys_end")
@@ -204,7 +199,7 @@ def test_a_stream_is_watched_with_a_key_that_reads(
 
 BODIES: dict[tuple[str, str], dict[str, Any]] = {
     ("post", "/datasets/{dataset_id}/frames"): {"json": FRAMES},
-    ("patch", "/datasets/{dataset_id}/corrections"): {"json": {}},
+    ("patch", "/datasets/{dataset_id}/corrections"): {"json": {"correct": []}},
     ("patch", ""): {"json": {"name": "mine"}},
     ("put", ""): {"json": {"model_id": "mdl_none"}},
 }

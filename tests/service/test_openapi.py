@@ -26,6 +26,7 @@ from service.realtime import lift
 from service.resources import (
     aliases,
     audit,
+    corrections,
     datasets,
     evaluations,
     fits,
@@ -47,6 +48,7 @@ from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
 # Where the forms of answers are.
 MODULES = (
+    corrections,
     datasets,
     previews,
     evaluations,
