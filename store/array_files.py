@@ -9,7 +9,7 @@ import io
 import json
 import struct
 import zlib
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -89,11 +89,13 @@ class Patched:
     def read(self, get_range: GetRange, start: int, end: int) -> bytes:
         """Return the bytes from ``start`` up to ``end``."""
         data = bytearray(self.part.read(get_range, start, end))
-        for at, new in self.patches:
-            if at < end and at + len(new) > start:
-                kept = new[max(0, start - at) : end - at]
-                first = max(0, at - start)
-                data[first : first + len(kept)] = kept
+        first = bisect_left(self.patches, (start,))
+        for at, new in self.patches[max(0, first - 1) :]:  # the one before may reach in here
+            if at >= end:
+                break
+            kept = new[max(0, start - at) : end - at]
+            offset = max(0, at - start)
+            data[offset : offset + len(kept)] = kept
         return bytes(data)
 
 

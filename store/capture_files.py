@@ -1,6 +1,7 @@
 """A dataset's capture as an npz file, as `POST /datasets` takes it: laid out from its chunks."""
 
 import json
+import struct
 import zlib
 from collections.abc import Sequence
 from functools import lru_cache
@@ -90,16 +91,15 @@ def _patches(
     """Return what corrections change of an array of (views, keypoints) in a chunk, by offset."""
     if name not in ("keypoints", "confidence"):
         return ()
+    views, keypoints = sides
     patches = []
     for each in corrected:
-        frame = each.place.frame - chunk.first_frame
+        frame, view, keypoint = each.place
+        frame -= chunk.first_frame
         if 0 <= frame < chunk.frames:
             pixels, trust = values_of(each)
-            new = np.asarray(pixels if name == "keypoints" else trust, DTYPES[name]).tobytes()
-            index = np.ravel_multi_index(
-                (frame, each.place.view, each.place.keypoint), (chunk.frames, *sides)
-            )
-            patches.append((int(index) * len(new), new))
+            new = struct.pack("<2f", *pixels) if name == "keypoints" else struct.pack("<f", trust)
+            patches.append((((frame * views + view) * keypoints + keypoint) * len(new), new))
     return tuple(sorted(patches))
 
 

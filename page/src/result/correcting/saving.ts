@@ -1,8 +1,9 @@
-/** Sends corrections to the service in the order in which they were made, one request at a time. */
+/** Sends corrections to the service in the order in which they were made, one request at a time: what is made
+ * meanwhile goes together in the next. */
 
 import { Refusal } from "../../api/http.ts";
 import { correctKeypoints, readCorrections, type DatasetCorrections } from "../../api/resources.ts";
-import { placeOf, type Place, type Position } from "../../data/corrections.ts";
+import { keyOf, placeOf, type Place, type Position } from "../../data/corrections.ts";
 
 /** A keypoint that is to be somewhere, nowhere (null), or where it was detected (undefined). */
 export interface Change {
@@ -25,13 +26,24 @@ export interface Saver {
   save(change: Change): Promise<string | null>;
 }
 
+interface Waiting {
+  change: Change;
+  resolve(checksum: string | null): void;
+  reject(error: Error): void;
+}
+
 /** @param known the checksum of the corrections that the page has
  * @param tag of the dataset when it was read */
 export function createSaver(dataset: string, known: string | null, tag: string | null): Saver {
-  let before: Promise<unknown> = Promise.resolve();
+  let waiting: Waiting[] = [];
+  let sending = false;
 
-  async function send({ place, position }: Change): Promise<string | null> {
-    const change = position === undefined ? { undo: [placeOf(place)] } : { correct: [{ ...placeOf(place), position }] };
+  async function send(changes: Change[]): Promise<string | null> {
+    const last = [...new Map(changes.map((each) => [keyOf(each.place), each])).values()]; // of each place
+    const change = {
+      undo: last.flatMap(({ place, position }) => (position === undefined ? [placeOf(place)] : [])),
+      correct: last.flatMap(({ place, position }) => (position === undefined ? [] : [{ ...placeOf(place), position }])),
+    };
     for (;;) {
       try {
         const answer = await correctKeypoints(dataset, change, tag);
@@ -47,14 +59,24 @@ export function createSaver(dataset: string, known: string | null, tag: string |
     }
   }
 
-  return {
-    save(change) {
-      const saved = before.then(
-        () => send(change),
-        () => send(change),
+  async function sendAll(): Promise<void> {
+    sending = true;
+    while (waiting.length > 0) {
+      const now = waiting;
+      waiting = [];
+      await send(now.map(({ change }) => change)).then(
+        (checksum) => now.forEach(({ resolve }) => resolve(checksum)),
+        (error: Error) => now.reverse().forEach(({ reject }) => reject(error)), // the last is taken back first
       );
-      before = saved.catch(() => {});
-      return saved;
-    },
+    }
+    sending = false;
+  }
+
+  return {
+    save: (change) =>
+      new Promise((resolve, reject) => {
+        waiting.push({ change, resolve, reject });
+        if (!sending) void sendAll();
+      }),
   };
 }
