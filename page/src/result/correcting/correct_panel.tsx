@@ -1,6 +1,6 @@
 /** Correcting keypoints: the worst frames, what is selected in one of them, and fitting again. */
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import { Alert } from "../../parts/alert.tsx";
 import { count, number } from "../../parts/format.ts";
 import { Icon } from "../../parts/icons.tsx";
@@ -11,6 +11,7 @@ import { goTo } from "../../route.ts";
 import { farthestOf } from "../../science/farthest.ts";
 import { afterInWorst } from "../keys.ts";
 import { useShow } from "../show.ts";
+import { useFrame } from "../use_frame.ts";
 import { SelectedKeypoint } from "./selected_keypoint.tsx";
 
 export function CorrectPanel() {
@@ -147,15 +148,4 @@ function useEditingKeys(undo: () => void, go: (frame: number) => void): void {
     window.addEventListener("keydown", listen, { capture: true });
     return () => window.removeEventListener("keydown", listen, { capture: true });
   });
-}
-
-/** Returns the frame that is shown, which playing changes. */
-export function useFrame(): number {
-  const { player } = useShow();
-  const [frame, setFrame] = useState(player.frame);
-  useEffect(() => {
-    setFrame(player.frame);
-    return player.onChange(() => setFrame(player.frame));
-  }, [player]);
-  return frame;
 }

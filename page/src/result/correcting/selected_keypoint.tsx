@@ -3,7 +3,7 @@
 import type { Correction } from "../../data/corrections.ts";
 import { ALL } from "../../data/take.ts";
 import { useShow } from "../show.ts";
-import { useFrame } from "./correct_panel.tsx";
+import { useFrame } from "../use_frame.ts";
 
 export function SelectedKeypoint() {
   const { take, selected, editing, version } = useShow();
