@@ -13,7 +13,8 @@ import { useShown } from "./show.ts";
 import { createViewDrawing } from "./view_drawing.ts";
 
 export function ViewPanel({ view, crop }: { view: number; crop: Crop }) {
-  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done, joined, editing } = useShown();
+  const { take, player, loop, theme, selected, select, through, lookThrough, posed, done, joined, editing } =
+    useShown();
   const canvas = useRef<HTMLCanvasElement>(null);
   const error = useRef<HTMLSpanElement>(null);
   const edges = joined?.edges ?? take.edges;
