@@ -1,6 +1,7 @@
 """Remedies are taken on the page, where they are read."""
 
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ from PIL import Image
 from playwright.sync_api import Locator, expect
 
 from tests.page.conftest import Watched
-from tests.page.stored import EDGES, NAMES, Stored
-from tests.service.conftest import Live
+from tests.page.stored import EDGES, KEYPOINTS, NAMES, Stored
+from tests.service.conftest import BYTES, Live, to_npz
 
 
 @pytest.fixture
@@ -115,3 +116,25 @@ def test_up_is_shown_by_two_keypoints_and_is_that_of_what_is_saved(
         off = arrays["points3d"][:, NAMES.index("l_ankle")] - arrays["points3d"][:, 0]
     mean = np.nanmean(off / np.linalg.norm(off, axis=-1, keepdims=True), axis=0)
     assert mean[1] > 0.99 * np.linalg.norm(mean)
+
+
+def test_views_in_another_order_get_their_cameras_where_they_are_played(
+    watched: Watched, live: Live, stored: Stored
+) -> None:
+    exchanged = to_npz(keypoints=KEYPOINTS[:, [1, 0, 2]], fps=50.0)
+    made = live.http.post("/datasets?name=exchanged", content=exchanged, headers=BYTES).json()
+    page = watched.open("#/live")
+    page.get_by_label("Model").select_option(stored.model)
+    page.get_by_label("Capture").select_option(made["id"])
+    page.get_by_role("button", name="Start").click()
+    noticed = page.get_by_text("Rig not used")
+    expect(noticed).to_be_visible()
+    page.get_by_text("Choose which camera each view is of").click()
+    page.get_by_label("Camera of view 0").select_option("1")
+    page.get_by_label("Camera of view 1").select_option("0")
+    page.get_by_role("button", name="Show it so").click()
+    expect(noticed).to_have_count(0)
+    expect(page.get_by_text(re.compile(r"^[4-9]\d frames, of"))).to_be_visible()  # all, and again
+    expect(noticed).to_have_count(0)
+    page.get_by_role("button", name="Stop").click()
+    live.http.delete(f"/datasets/{made['id']}")
