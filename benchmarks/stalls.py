@@ -1,11 +1,12 @@
 """How long a body of any content keeps other requests of its process waiting, and what it takes.
 
-    python benchmarks/stalls.py [--only TEXT ...] [--json FILE]
+    python benchmarks/stalls.py [--bodies] [--only TEXT ...] [--json FILE]
 
-Starts a service with one API process. One case after another is sent to it, while another process
-asks `/health/live` every 5 ms. Beside each case stand the longest of these waits, and the growth of
-the API process's memory, of the body's bytes too. Then one key does its worst, in one way after
-another, while another project lifts: how long that took at most, and what was refused to it.
+Starts a service with one API process. One key does its worst, in one way after another, while
+another project lifts: how long that took at most, and what was refused to it. With `--bodies`, or
+with names, one case after another is sent to it before, while another process asks `/health/live`
+every 5 ms. Beside each case stand the longest of these waits, and the growth of the API process's
+memory, of the body's bytes too.
 """
 
 import argparse
@@ -26,23 +27,26 @@ from benchmarks.stalls_cases import Case, cases
 PAUSE_SECONDS = 0.005
 QUIET_SECONDS = 2.0
 LONGEST_MS, MOST_TIMES = 100.0, 10.0
+# Webhooks of this machine, and turns of fits that a short run sees.
+OPTIONS = ("--api-processes=1", "--webhook-private-targets=true", "--fit-turn-seconds=2")
 LEAST_BYTES = 8 * 2**20  # what a body counts at least: allocators keep that much anyway
 
 
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    with service("--api-processes=1") as running, Watch(running.address) as watch:
+    with service(*OPTIONS) as running, Watch(running.address) as watch:
         (api,) = api_processes()
-        prior = fitted(studio(), SHORT)
+        capture = studio()
+        prior = fitted(capture, SHORT)
         model = running.import_model(prior)
         rows = [quiet(watch)]
-        for case in cases(running, model):
-            if any(text in case.name for text in arguments.only):
+        for case in cases(running, model) if arguments.bodies or arguments.only else ():
+            if any(text in case.name for text in arguments.only or [""]):
                 rows.append(measure(running, api, watch, case))
                 print(rows[-1], flush=True)
         rows.append(quiet(watch))
-        shared = list(stalls_shares.rows(running, prior, arguments.only))
+        shared = list(stalls_shares.rows(running, prior, capture.keypoints, arguments.only or [""]))
     noise = max(row["longest wait ms"] for row in (rows[0], rows[-1]))
     sent = rows[1:-1]
     bars = [
@@ -73,7 +77,10 @@ def main() -> None:
 def parse_arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = command("Measure how long bodies keep other requests waiting.")
-    parser.add_argument("--only", nargs="+", default=[""], help="cases whose names have this")
+    parser.add_argument("--only", nargs="+", default=[], help="cases whose names have this")
+    parser.add_argument(
+        "--bodies", action="store_true", help="send bodies up to the limits, too: ten minutes"
+    )
     return parser.parse_args()
 
 

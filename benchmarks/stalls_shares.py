@@ -15,6 +15,8 @@ import httpx2
 import numpy as np
 from safetensors.numpy import save
 
+from benchmarks import stalls_work
+from benchmarks.captures import Float32
 from benchmarks.figures import Row
 from benchmarks.service_rig import BYTES, Service
 from models.lifting.fitted_prior import FittedPrior
@@ -22,6 +24,7 @@ from models.lifting.fitted_prior import FittedPrior
 SECONDS = 4.0  # of the other's requests
 TAKEN_UP_SECONDS = 3.0  # until the greedy key has what it gets
 REFUSED = (429, 503)
+FRAMES = 200  # of the dataset that each has
 SOCKETS, BODIES, READERS, CLIENTS = 300, 64, 6, 32
 
 
@@ -43,11 +46,17 @@ class Worst(NamedTuple):
     ask: Callable[[User], httpx2.Response]
 
 
-def rows(running: Service, prior: FittedPrior, only: list[str]) -> Iterator[Row]:
-    """Yield how another project's requests fare beside one key at its worst, a row for each way."""
+def rows(
+    running: Service, prior: FittedPrior, keypoints: Float32, only: list[str]
+) -> Iterator[Row]:
+    """Yield how another project's requests fare beside one key at its worst, a row for each way.
+
+    Both have the `keypoints` (N, K, P, 2) that the prior was fitted to, a part of them as dataset.
+    """
     with ExitStack() as clients:
         greedy, other = (
-            clients.enter_context(_user(running, prior, name)) for name in ("greedy", "other")
+            clients.enter_context(_user(running, prior, keypoints, name))
+            for name in ("greedy", "other")
         )
         for worst in ALL:
             if any(text in worst.name for text in only):
@@ -55,8 +64,8 @@ def rows(running: Service, prior: FittedPrior, only: list[str]) -> Iterator[Row]
 
 
 @contextmanager
-def _user(running: Service, prior: FittedPrior, project: str) -> Iterator[User]:
-    scopes = ["read", "lift", "write", "delete"]
+def _user(running: Service, prior: FittedPrior, keypoints: Float32, project: str) -> Iterator[User]:
+    scopes = ["read", "lift", "write", "delete", "webhook"]
     asked = {"name": project, "project": project, "scopes": scopes}
     token = running.client.post("/keys", json=asked).raise_for_status().json()["token"]
     headers = {"Authorization": f"Bearer {token}"}
@@ -67,7 +76,7 @@ def _user(running: Service, prior: FittedPrior, project: str) -> Iterator[User]:
         size = (1, prior.known_views, prior.keypoints_per_frame, 2)
         frame = np.round(np.random.default_rng(0).uniform(100, 900, size), 2)
         model = mine.import_model(prior)
-        dataset = mine.upload_many(np.repeat(frame, 8, 0).astype(np.float32), 8)
+        dataset = mine.upload_many(keypoints, FRAMES)
         fit = client.post("/fits", json={"dataset_id": dataset}).raise_for_status().json()["id"]
         client.post(f"/fits/{fit}/cancel")
         user = User(client, token, model, frame, fit)
@@ -79,7 +88,9 @@ def _measure(running: Service, worst: Worst, greedy: User, other: User) -> Row:
     refused, longest, lifts = 0, 0.0, 0
     with worst.attack(running, greedy):
         time.sleep(TAKEN_UP_SECONDS)
+        asked = time.perf_counter()
         refused += worst.ask(other).status_code in REFUSED
+        seconds = time.perf_counter() - asked
         ends = time.monotonic() + SECONDS
         while time.monotonic() < ends:
             began = time.perf_counter()
@@ -89,6 +100,7 @@ def _measure(running: Service, worst: Worst, greedy: User, other: User) -> Row:
     return {
         "one key": worst.name,
         "another's longest lift ms": 1000 * longest,
+        "its own of the kind s": seconds,
         "lifts": lifts,
         "refused": refused,
     }
@@ -257,4 +269,14 @@ ALL = (
     Worst("files that take long", _readers, _read),
     Worst("views in ever new orders", _orders, _lift),
     Worst("waiting fits", _queue, _ask_for_fit),
+    Worst(
+        "webhooks never answered",
+        lambda _, greedy: stalls_work.never_answered(greedy.client),
+        lambda other: stalls_work.heard(other.client),
+    ),
+    Worst(
+        "long fits beside a short one",
+        lambda _, greedy: stalls_work.long_fits(greedy.client),
+        lambda other: stalls_work.fitted_soon(other.client),
+    ),
 )
