@@ -20,12 +20,14 @@ import httpx2
 from benchmarks import stalls_shares
 from benchmarks.captures import fitted, studio
 from benchmarks.figures import Bar, Results, Row, command
-from benchmarks.scaling_process import SHORT
 from benchmarks.service_rig import Service, api_processes, service
 from benchmarks.stalls_cases import Case, cases
+from benchmarks.stalls_work import QUICK
+from models.settings.config import FitConfig
 
 PAUSE_SECONDS = 0.005
 QUIET_SECONDS = 2.0
+FRAMES = 300  # of the capture that the model is fitted to, as quickly as may be
 LONGEST_MS, MOST_TIMES = 100.0, 10.0
 # Webhooks of this machine, and turns of fits that a short run sees.
 OPTIONS = ("--api-processes=1", "--webhook-private-targets=true", "--fit-turn-seconds=2")
@@ -37,8 +39,8 @@ def main() -> None:
     arguments = parse_arguments()
     with service(*OPTIONS) as running, Watch(running.address) as watch:
         (api,) = api_processes()
-        capture = studio()
-        prior = fitted(capture, SHORT)
+        capture = studio(frames=FRAMES)
+        prior = fitted(capture, FitConfig.model_validate(QUICK))
         model = running.import_model(prior)
         rows = [quiet(watch)]
         for case in cases(running, model) if arguments.bodies or arguments.only else ():
@@ -46,7 +48,10 @@ def main() -> None:
                 rows.append(measure(running, api, watch, case))
                 print(rows[-1], flush=True)
         rows.append(quiet(watch))
-        shared = list(stalls_shares.rows(running, prior, capture.keypoints, arguments.only or [""]))
+        shared = []
+        for row in stalls_shares.rows(running, prior, capture.keypoints, arguments.only or [""]):
+            shared.append(row)
+            print(row, flush=True)
     noise = max(row["longest wait ms"] for row in (rows[0], rows[-1]))
     sent = rows[1:-1]
     bars = [
@@ -79,7 +84,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = command("Measure how long bodies keep other requests waiting.")
     parser.add_argument("--only", nargs="+", default=[], help="cases whose names have this")
     parser.add_argument(
-        "--bodies", action="store_true", help="send bodies up to the limits, too: ten minutes"
+        "--bodies", action="store_true", help="send bodies up to the limits, too, which takes long"
     )
     return parser.parse_args()
 
