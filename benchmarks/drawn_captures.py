@@ -1,7 +1,8 @@
-"""Captures drawn by number: real motions before rigs, lenses and detectors that nobody chose.
+"""Captures drawn by number: motions before rigs, lenses and detectors that nobody chose.
 
-`draw_capture(number, data)` is the same everywhere, for it depends on the number alone. The motions
-are the ground truths of captures; a number whose motion is not at hand is no draw.
+`draw_capture(number, data)` is the same everywhere, for it depends on the number alone. Without a
+half its motions are the ground truths of five captures; else those of `benchmarks/motions.py`. A
+number whose motion is not at hand is no draw.
 """
 
 from pathlib import Path
@@ -10,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.motions import EXAMPLE, ROOT, motions
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "examples" / "three_actors.npz"
 SEED = 3401
 # How often each motion is drawn, and which axis of its frame points up.
 MOTIONS = {
@@ -69,19 +69,23 @@ class Draw(NamedTuple):
         return seen
 
 
-def draw_capture(number: int, data: Path | None = None) -> Draw | None:
+def draw_capture(number: int, data: Path | None = None, half: str | None = None) -> Draw | None:
     """Draw capture `number`; None if its motion is not in the folder `data`."""
-    rng = np.random.default_rng([SEED, number])
+    rng = np.random.default_rng([SEED, number] if half is None else [SEED, number, *half.encode()])
     names = list(MOTIONS)
     name = names[rng.choice(len(names), p=[share for share, _ in MOTIONS.values()])]
     pair, moving = number % PAIRS == 0, bool(rng.random() < MOVING)
     views = 2 if pair else int(rng.choice(list(VIEWS), p=list(VIEWS.values())))
-    file = EXAMPLE if name == EXAMPLE.stem else (data or ROOT) / f"{name}.npz"
-    if not file.exists():
-        return None
-    with np.load(file) as arrays:
-        truth = arrays["points3d"].astype(np.float64)
-    points, words = _motion(truth, MOTIONS[name][1], rng)
+    if half is None:
+        file = EXAMPLE if name == EXAMPLE.stem else (data or ROOT) / f"{name}.npz"
+        if not file.exists():
+            return None
+        with np.load(file) as arrays:
+            truth = arrays["points3d"].astype(np.float64)
+        points, words = _motion(truth, MOTIONS[name][1], rng)
+    else:
+        name, points = _of_half(half, data, rng)
+        points, words = _walking(points, rng, clip=True)
     lens = _lenses(views, rng)
     arrangement = ARRANGEMENTS[int(rng.integers(len(ARRANGEMENTS)))]
     rotations, translations = _poses(points, lens, arrangement, rng)
@@ -155,7 +159,23 @@ def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64,
         chosen = complete[start : start + span : stride]
     else:
         chosen = np.sort(rng.permutation(complete)[:count])
-    points = np.roll(truth[chosen], 2 - up, axis=2)
+    points, words = _walking(np.roll(truth[chosen], 2 - up, axis=2), rng, clip=clip)
+    return points, ["clip" if clip else "scattered", *words]
+
+
+def _of_half(half: str, data: Path | None, rng: np.random.Generator) -> tuple[str, Float64]:
+    """Draw a motion: each kind is as likely, and all clips are one."""
+    found = motions(half, data)
+    clips = [name for name in found if name.startswith("clip ")]
+    kinds = [name for name in found if name not in clips] + ["clip"] * bool(clips)
+    name = str(rng.choice(kinds))
+    if name == "clip":
+        name = str(rng.choice(clips))
+    return name, found[name](int(_log_uniform(FRAMES, rng)), rng)
+
+
+def _walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[Float64, list[str]]:
+    """Return points about the origin, or on a way of their own, and what was drawn."""
     points = points - np.nanmean(points, 1, keepdims=True)
     walks = bool(rng.random() < 0.6)
     if walks:
@@ -167,7 +187,7 @@ def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64,
         else:
             path = rng.uniform(-reach, reach, (len(points), 2))
         points[..., :2] += path[:, None]
-    return points, ["clip" if clip else "scattered", "walking" if walks else "centred"]
+    return points, ["walking" if walks else "centred"]
 
 
 def _lenses(views: int, rng: np.random.Generator) -> _Lenses:

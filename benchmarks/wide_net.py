@@ -1,10 +1,11 @@
 """How true structures and cameras are on rigs that nobody chose: hundreds of numbered draws.
 
-    python -m benchmarks.wide_net [--draws 0 60] [--geometry] [--data FOLDER] [--oracle FILE]
-                                  [--processes N] [--json FILE]
+    python -m benchmarks.wide_net [--draws 0 60] [--half setting|looking] [--pairs] [--geometry]
+                                  [--data FOLDER] [--oracle FILE] [--processes N] [--json FILE]
 
 Each draw (`benchmarks/drawn_captures.py`) is fitted with the default configuration, or with
-`--geometry` its cameras are found from keypoints alone, which takes seconds. The error is that of
+`--geometry` its cameras are found from keypoints alone, which takes seconds. Constants are set on
+the motions of the half `setting`; those of `looking` show whether they hold elsewhere. The error is that of
 structures aligned frame by frame, never mirrored, on keypoints that two views or more see, beside
 that of robust triangulation with the true cameras. `--oracle FILE` runs a module with `find` and
 `structure` beside. The truth takes no part in any fit.
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_captures import Draw, draw_capture
 from benchmarks.figures import print_table
+from benchmarks.motions import HALVES
 from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import focal_deviations, geometry_of, start_from_geometry
 from models.calibrating.lens_effect import lens_findings
@@ -102,6 +104,8 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Measure fits on drawn rigs and motions.")
     parser.add_argument("--draws", type=int, nargs=2, default=(0, 60), help="first and end")
     parser.add_argument("--only", type=int, nargs="+", help="these draws alone")
+    parser.add_argument("--half", choices=HALVES, help="draw the motions of this half")
+    parser.add_argument("--pairs", action="store_true", help="static pairs alone")
     parser.add_argument("--geometry", action="store_true", help="stop before the network")
     parser.add_argument("--data", type=Path, help="folder of captures with `points3d`")
     parser.add_argument("--oracle", type=Path, help="a module with `find` and `structure`")
@@ -117,8 +121,8 @@ def _quiet() -> None:
 
 def _measured(job: tuple[int, argparse.Namespace]) -> Row | None:
     number, arguments = job
-    draw = draw_capture(number, arguments.data)
-    if draw is None:
+    draw = draw_capture(number, arguments.data, arguments.half)
+    if draw is None or (arguments.pairs and (draw.moving or draw.keypoints.shape[1] > 2)):
         return None
     found = by_geometry if arguments.geometry else by_fit
     try:
