@@ -17,6 +17,7 @@ from sqlalchemy.orm import Session
 
 from models.settings.calibration import Keypoint
 from models.settings.config import FitConfig, warm
+from models.settings.lenses import Lens, LensError, known_lenses, lens_of_each_view
 from models.settings.priors import ARCHITECTURE
 from store import clock, corrections, datasets, jobs, webhooks
 from store.authors import author_of, owned_by
@@ -156,6 +157,7 @@ def _check(config: dict[str, Any], dataset: DatasetRecord) -> None:
             f"the calibration must have an entry per view: expected {dataset.views}, got "
             f"{len(calibration)}; write null for a view of which nothing is known",
         )
+    _check_lenses(config.get("lenses"), dataset)
     for field, found in (
         ("known_length", known_length and known_length["keypoints"]),
         ("handedness", config.get("handedness")),
@@ -166,6 +168,21 @@ def _check(config: dict[str, Any], dataset: DatasetRecord) -> None:
                 f"{field} must name {len(found)} different keypoints below {dataset.keypoints}, "
                 f"got {list(found)}",
             )
+
+
+def _check_lenses(given: list[Any] | None, dataset: DatasetRecord) -> None:
+    """Raise ``ConfigError`` for lenses that the views or the sizes of their images do not allow."""
+    if given is None:
+        return
+    sizes = [size and tuple(size) for size in dataset.image_sizes or [None] * dataset.views]
+    lenses = [None if lens is None else Lens.model_validate(lens) for lens in given]
+    try:
+        known_lenses(lens_of_each_view(lenses, dataset.views), sizes)
+    except LensError as error:
+        place = error.view if len(lenses) > 1 else 0
+        raise ConfigError(f"lenses/{place}", error.words) from error
+    except ValueError as error:
+        raise ConfigError("lenses", str(error)) from error
 
 
 def cancel(store: Store, fit_id: str) -> FitRecord:

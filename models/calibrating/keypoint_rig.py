@@ -189,10 +189,11 @@ def lens_beliefs(problem: CalibrationProblem) -> Beliefs:
     unknown = np.where(images.known, FOCAL_SD, UNKNOWN_FOCAL_SD)
     own = np.where(np.isinf(sds[:, FOCAL]), unknown, sds[:, FOCAL])
     focal_covariance = np.diag(np.square(own))
-    if problem.cameras_alike is True:
-        alike = np.isinf(sds[:, FOCAL])
-        focal_covariance += (np.outer(own, own) - focal_covariance) * np.outer(alike, alike)
-        focal_covariance += np.diag(np.where(alike, FOCAL_SDS[1] ** 2, 0))
+    if problem.cameras_alike != "auto":
+        groups, free = problem.lens_groups, np.isinf(sds[:, FOCAL])
+        alike = (groups[:, None] == groups) & np.outer(free, free) & ~np.eye(len(own), dtype=bool)
+        focal_covariance += np.outer(own, own) * alike
+        focal_covariance += np.diag(np.where(alike.any(1), FOCAL_SDS[1] ** 2, 0))
     return Beliefs(
         focals / problem.side,
         focal_covariance,

@@ -26,6 +26,7 @@ from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
 from models.settings.calibration import Alike, Camera
 from models.settings.config import FitConfig
+from models.settings.lenses import Lens, alike_views, known_lenses, lens_of_each_view
 
 Float64 = NDArray[np.float64]
 
@@ -102,12 +103,18 @@ def problem_of(
 
     `detected` (N, K, P, 2) are the keypoints before noise was removed from them.
     """
-    calibration = config.calibration or (None,) * keypoints.shape[1]
+    views = keypoints.shape[1]
+    calibration = config.calibration or (None,) * views
     images = images_of(keypoints, weights, image_sizes)
     usual = usual_rig(images)
     reference, lens_sds = with_given_lenses(usual, calibration)
     alike = config.cameras_alike
-    groups = np.arange(len(lens_sds)) if alike is False else np.zeros(len(lens_sds), np.int64)
+    groups = np.arange(views) if alike is False else np.zeros(views, np.int64)
+    if config.lenses is not None:
+        lenses = lens_of_each_view(config.lenses, views)
+        reference = _with_known_lenses(reference, lens_sds, lenses, image_sizes or (None,) * views)
+        if any(lens is not None and lens.same_as is not None for lens in lenses):
+            alike, groups = False, np.array(alike_views(lenses))
     return CalibrationProblem(
         keypoints,
         keypoints if detected is None else detected,
@@ -203,6 +210,17 @@ def with_given_lenses(usual: Rig, calibration: Sequence[Camera | None]) -> tuple
             lenses.distortion[k, : len(given.distortion)] = given.distortion
             sds[k, RADIAL:] = 0
     return usual._replace(lenses=lenses), sds
+
+
+def _with_known_lenses(
+    rig: Rig, lens_sds: Float64, lenses: Sequence[Lens | None], image_sizes: ImageSizes
+) -> Rig:
+    """Return a rig with the focal lengths that are known, unless given; write their `lens_sds`."""
+    focals = rig.lenses.focals.copy()
+    for k, known in enumerate(known_lenses(lenses, image_sizes)):
+        if known is not None and np.isinf(lens_sds[k, FOCAL]):
+            focals[k], lens_sds[k, FOCAL] = known.focal, known.sd
+    return rig._replace(lenses=rig.lenses._replace(focals=focals))
 
 
 def copied(lenses: Lenses) -> Lenses:

@@ -13,6 +13,7 @@ from pydantic import (
 from typing_extensions import TypeAliasType
 
 from models.settings.calibration import Alike, Camera, Keypoint, KnownLength, as_index
+from models.settings.lenses import Lens
 from models.settings.priors import (
     ARCHITECTURE,
     PRIOR_SETTINGS,
@@ -174,6 +175,15 @@ class FitConfig(BaseModel):
         default=None,
         max_length=64,
         description="Given cameras, one entry per view; null where nothing is known.",
+    )
+    lenses: tuple[Lens | None, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description=(
+            "What is known of the lenses without a calibration: an entry per view, null where"
+            " nothing is known, or one entry for all views. The keypoints improve it."
+        ),
     )
     known_length: KnownLength | None = Field(
         default=None, description="A measured distance in the subject: results get its unit."

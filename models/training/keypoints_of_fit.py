@@ -21,6 +21,7 @@ from models.findings.finding import Finding
 from models.lifting.fitted_capture import FittedCapture
 from models.network.answers import nothing_unusual
 from models.settings.config import FitConfig
+from models.settings.lenses import known_lenses, lens_of_each_view
 from models.training.synchronising import InStep
 
 WORTH_REPORTING = 0.005  # share of the keypoints of a view that are outliers
@@ -123,10 +124,12 @@ def usable_frames(observations: Observations) -> Int64:
 
 
 def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSizes | None) -> None:
-    """Raise ValueError unless sizes and calibration have one entry per view."""
+    """Raise ValueError unless sizes, calibration and lenses have entries that suit the views."""
     for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
         if given is not None and len(given) != views:
             raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
+    if config.lenses is not None:
+        known_lenses(lens_of_each_view(config.lenses, views), image_sizes or (None,) * views)
 
 
 def among_known(config: FitConfig, known: Bool) -> FitConfig:

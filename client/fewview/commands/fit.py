@@ -30,6 +30,14 @@ KnownLength = Annotated[
     typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
 ]
 
+LensOption = Annotated[
+    str | None,
+    typer.Option(
+        "--lens",
+        help="`26mm`, `fov:78`, `1460px`, or each view's: `cam1=fov:78,cam2=26mm+-10%`.",
+    ),
+]
+
 
 def fit(
     dataset: Annotated[str, typer.Argument(help="Its id: ds_...")],
@@ -44,6 +52,7 @@ def fit(
         ),
     ] = None,
     known_length: KnownLength = None,
+    lens: LensOption = None,
     calibration: CalibrationFile = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
     from_model: Annotated[str | None, typer.Option(help="A model to start from: mdl_...")] = None,
@@ -54,9 +63,13 @@ def fit(
 ) -> None:
     """Queue a fit of a dataset; prints its id, or with --follow that of its model."""
     from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
+    from fewview.lenses import lenses_in  # noqa: PLC0415 (the same)
 
     with talking(url) as client:
         fields = config_in(config or [], known_length)
+        if lens is not None:
+            of = client.datasets.get(dataset)
+            fields["lenses"] = lenses_in(lens, of.view_names or [f"{k}" for k in range(of.views)])
         if calibration == Path("dataset"):
             fields["calibration"] = "dataset"
         elif calibration is not None:

@@ -22,7 +22,7 @@ from fewview.commands.export import (
     formats_in,
 )
 from fewview.commands.export import in_words as result_in_words
-from fewview.commands.fit import CalibrationFile, KnownLength, config_in
+from fewview.commands.fit import CalibrationFile, KnownLength, LensOption, config_in
 from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, echo, in_short
 
@@ -46,6 +46,7 @@ def run(
     ] = None,
     formats: Formats = USUAL,
     known_length: KnownLength = None,
+    lens: LensOption = None,
     calibration: CalibrationFile = None,
     no_calibration: Annotated[
         bool, typer.Option("--no-calibration", help="Leave a calibration among the files alone.")
@@ -62,6 +63,7 @@ def run(
     from fewview.calibration import as_config, read_for_views, sizes_for  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
+    from fewview.lenses import lenses_in  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
@@ -70,6 +72,9 @@ def run(
         fields = config_in(config or [], known_length)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
+        if lens is not None:
+            names = capture.view_names or [f"{k}" for k in range(capture.views)]
+            fields["lenses"] = lenses_in(lens, names)
         beside = None if no_calibration else capture.calibration
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
