@@ -188,8 +188,9 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "The keypoints hardly determine the focal length (a far or flat subject, or few frames). It"
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
-        "Give the focal length (`calibration`), set `cameras_alike: true` if the lenses are alike,"
-        " or film the subject nearer and in more places.",
+        "Say what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or give a"
+        " `calibration`; set `cameras_alike: true` if the lenses are alike, or film the subject"
+        " nearer and in more places.",
     ),
     "lenses_limit_accuracy": Entry(
         "warning",
@@ -197,8 +198,9 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " than the noise of the keypoints does. The evidence gives the mean error that is expected"
         " from each, as a share of the subject's height (`error_by_lenses_of_height`,"
         " `error_by_noise_of_height`).",
-        "Give the focal lengths (`calibration`), give `image_sizes` that are missing, set"
-        " `cameras_alike: true` if the lenses are alike, or add a third view.",
+        "Say what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or give a"
+        " `calibration`; give `image_sizes` that are missing, set `cameras_alike: true` if the"
+        " lenses are alike, or add a third view.",
     ),
     "handedness_not_observable": Entry(
         "warning",
@@ -219,8 +221,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The lenses that explain the keypoints best are unlike real ones: the keypoints or what was"
         " given of the cameras is probably wrong.",
-        "Look at the other findings, and give the image sizes or a calibration, or set"
-        " `cameras_alike: false` if the lenses differ.",
+        "Look at the other findings, give the image sizes, say what is known of the lenses"
+        " (`lenses`) or give a calibration, or set `cameras_alike: false` if the lenses differ.",
     ),
     "rig_not_used": Entry(
         "warning",

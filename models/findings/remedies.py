@@ -15,7 +15,8 @@ RemedyField = TypeAliasType(
         "fps",  # of a dataset
         "image_sizes",
         "mirror",  # where files are read
-        "calibration",  # of a fit
+        "lenses",  # of a fit
+        "calibration",
         "known_length",
         "handedness",
         "cameras",
@@ -37,10 +38,10 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "calibration_read_otherwise": ("calibration",),
     "known_length_disagrees": ("known_length", "calibration"),
     "camera_moved": ("cameras",),
-    "focal_not_observable": ("calibration", "cameras_alike"),
-    "lenses_limit_accuracy": ("calibration", "image_sizes", "cameras_alike"),
+    "focal_not_observable": ("lenses", "calibration", "cameras_alike"),
+    "lenses_limit_accuracy": ("lenses", "calibration", "image_sizes", "cameras_alike"),
     "handedness_not_observable": ("handedness", "calibration"),
-    "lenses_extreme": ("image_sizes", "calibration", "cameras_alike"),
+    "lenses_extreme": ("image_sizes", "lenses", "calibration", "cameras_alike"),
     "rig_not_used": ("views",),
     "frame_unlike_fit": ("from_model",),
     "not_in_room": ("frame", "refine"),

@@ -4,6 +4,8 @@ import { useEffect, useState } from "preact/hooks";
 import { askJson } from "../api/http.ts";
 import type { Dataset } from "../api/resources.ts";
 import { words } from "../parts/format.ts";
+import { viewNames } from "../remedies/subject.ts";
+import { LensFields, type Lens } from "../parts/lens_fields.tsx";
 import { fieldsOf, valueOf, type Field } from "./config_fields.ts";
 
 /** What people change; the other fields are behind a fold of their own. */
@@ -20,6 +22,7 @@ export function ConfigForm({
 }) {
   const [texts, setTexts] = useState<Texts>({});
   const [length, setLength] = useState({ from: "", to: "", length: "" });
+  const [lenses, setLenses] = useState<(Lens | null)[] | null>(null);
   const [fields, setFields] = useState<Field[] | null>(null);
   const names = dataset.skeleton?.keypoint_names ?? Array.from({ length: dataset.keypoints }, (_, index) => `${index}`);
 
@@ -32,9 +35,10 @@ export function ConfigForm({
     if (length.from !== "" && length.to !== "" && length.length !== "") {
       config.known_length = { keypoints: [Number(length.from), Number(length.to)], length: Number(length.length) };
     }
+    if (lenses !== null) config.lenses = lenses;
     onChange(config);
     // eslint-disable-next-line react-hooks/exhaustive-deps -- whoever listens is another function each time
-  }, [texts, length, fields]);
+  }, [texts, length, lenses, fields]);
 
   const open = async (event: Event) => {
     if (!(event.currentTarget as HTMLDetailsElement).open || fields !== null) return;
@@ -80,6 +84,12 @@ export function ConfigForm({
           onInput={(e) => setLength({ ...length, length: e.currentTarget.value })}
         />
         <span class="quiet">in metres, say: it is the unit of all that comes out</span>
+      </fieldset>
+      <fieldset class="known-lenses">
+        <legend>
+          What you know of the lenses <small class="quiet">decides most for two cameras; may be left out</small>
+        </legend>
+        <LensFields names={viewNames(dataset)} onChange={setLenses} />
       </fieldset>
       <details onToggle={(event) => void open(event)}>
         <summary>Advanced</summary>

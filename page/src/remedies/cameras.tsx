@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import type { components } from "../api/openapi.d.ts";
+import { LensFields, type Lens } from "../parts/lens_fields.tsx";
 import { FitAgain, OneOf } from "./fit_again.tsx";
 import { PerView } from "./per_view.tsx";
 import { useSubject, viewNames } from "./subject.ts";
@@ -52,6 +53,22 @@ export function LensControl() {
         be given where the <a href={`#/datasets/${dataset.id}`}>dataset</a> is fitted.
       </p>
       <FitAgain change={changed ? { calibration: given ? calibration : null } : null} />
+    </>
+  );
+}
+
+export function KnownLensesControl() {
+  const { dataset, fit } = useSubject();
+  const before = (fit?.config?.lenses ?? null) as (Lens | null)[] | null;
+  const [lenses, setLenses] = useState(before);
+  return (
+    <>
+      <p>
+        Of a phone's or a camera's data sheet, about: the main camera of most phones is as of 26 mm film, with video
+        stabilisation about 30 mm.
+      </p>
+      <LensFields names={viewNames(dataset)} before={before} onChange={setLenses} />
+      <FitAgain change={JSON.stringify(lenses) === JSON.stringify(before) ? null : { lenses }} />
     </>
   );
 }

@@ -3,7 +3,7 @@
 
 import type { FunctionComponent } from "preact";
 import type { Finding } from "../api/resources.ts";
-import { AlikeControl, ArrangementControl, LensControl } from "./cameras.tsx";
+import { AlikeControl, ArrangementControl, KnownLensesControl, LensControl } from "./cameras.tsx";
 import { RateControl, SizesControl } from "./known_later.tsx";
 import { FrameControl, RefineControl, ViewsControl } from "./lifting.tsx";
 import { HandednessControl, LengthControl } from "./measures.tsx";
@@ -27,6 +27,7 @@ export const REMEDIES: Record<RemedyField, Remedy> = {
   mirror: { words: "Have mirrored views read so", Control: MirrorControl, suits: always },
   cameras: { words: "Choose whether cameras move", Control: ArrangementControl, suits: ofFit },
   cameras_alike: { words: "Choose whether lenses are alike", Control: AlikeControl, suits: ofFit },
+  lenses: { words: "Say what is known of the lenses", Control: KnownLensesControl, suits: ofFit },
   calibration: { words: "Give focal lengths", Control: LensControl, suits: ofFit },
   known_length: { words: "Give a known length", Control: LengthControl, suits: ofFit },
   handedness: { words: "Show which way round it is", Control: HandednessControl, suits: ofFit },

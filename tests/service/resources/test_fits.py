@@ -200,6 +200,29 @@ def test_keypoints_are_given_by_the_names_of_the_dataset(api: TestClient) -> Non
         assert words in refused.json()["detail"]
 
 
+def test_lenses_are_checked_against_the_dataset(api: TestClient) -> None:
+    unsized, sized = (
+        make_dataset(api)["id"],
+        make_dataset(api, image_sizes=[[1280, 1024]] * 2)["id"],
+    )
+    for dataset, lenses, pointer, words in (
+        (unsized, [{"equivalent": 26}], "/lenses/0", "image_sizes"),
+        (unsized, [None, {"field_of_view": 78}], "/lenses/1", "image_sizes"),
+        (sized, [None, {"same_as": 2}], "/lenses/1", "another view, from 0 to 1"),
+        (sized, [{"focal": 900}] * 3, "/lenses", "one per view (2)"),
+        (sized, [{"focal": 900, "equivalent": 26}, None], "/lenses/0", "one of equivalent"),
+    ):
+        refused = api.post("/fits", json={"dataset_id": dataset, "config": {"lenses": lenses}})
+        problem(refused, 422, "invalid_input", f"/config{pointer}")
+        assert words in refused.text
+    made = api.post(
+        "/fits", json={"dataset_id": sized, "config": {"lenses": [{"equivalent": 26}]}}
+    ).json()
+    assert made["config"]["lenses"][0]["equivalent"] == 26
+    assert made["config"]["lenses"][0]["sd"] == 0.05
+    api.post(f"/fits/{made['id']}/cancel")
+
+
 def test_too_many_waiting_fits_are_refused(api: TestClient) -> None:
     for left in api.get("/fits?status=queued&limit=200").json()["items"]:  # by other tests
         api.post(f"/fits/{left['id']}/cancel")
