@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from examples.practice_subjects import mouse, person
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
@@ -65,7 +64,6 @@ def motions(half: str, data: Path | None = None) -> dict[str, Motion]:
         "skeleton": partial(skeleton, branching=half == SETTING),
         "seated": partial(seated, face=half == SETTING),
         "loose": partial(loose, waves=half == SETTING),
-        "practice": _practice(person if half == SETTING else mouse),
     }
     folder = data or ROOT
     for name, up in CAPTURES[half].items():
@@ -160,7 +158,7 @@ def seated(frames: int, rng: np.random.Generator, *, face: bool) -> Float64:
         around = np.linspace(0, np.pi, 17)
         jaw = np.stack((0.075 * np.cos(around), 0.05 * np.sin(around), -0.09 * np.sin(around)), 1)
         inner = rng.uniform([-0.05, 0.06, -0.05], [0.05, 0.1, 0.07], (25, 3))
-        still = np.concatenate((jaw, inner)) + [0, 0, 0.17]
+        still = np.concatenate((jaw, inner)) + np.array([0, 0, 0.17])
         modes = 0.004 * rng.standard_normal((4, len(still), 3))
         shown = still + np.tensordot(courses(frames, (4,), rng), modes, 1)
     else:
@@ -227,14 +225,6 @@ def courses(frames: int, shape: tuple[int, ...], rng: np.random.Generator) -> Fl
     phases = rng.uniform(0, 2 * np.pi, (HARMONICS, *shape))
     angles = 2 * np.pi * np.multiply.outer(time, rates) + phases
     return np.asarray(np.sin(angles).sum(1) * np.sqrt(2 / HARMONICS))
-
-
-def _practice(subject: Callable[[int, int], tuple[object, ...]]) -> Motion:
-    def moved(frames: int, rng: np.random.Generator) -> Float64:
-        points = np.asarray(subject(frames, int(rng.integers(5000)))[0], np.float64)
-        return points[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
-
-    return moved
 
 
 def _turned(numbers: Float64) -> Float64:

@@ -5,10 +5,10 @@
 
 Each draw (`benchmarks/drawn_captures.py`) is fitted with the default configuration, or with
 `--geometry` its cameras are found from keypoints alone, which takes seconds. Constants are set on
-the motions of the half `setting`; those of `looking` show whether they hold elsewhere. The error is that of
-structures aligned frame by frame, never mirrored, on keypoints that two views or more see, beside
-that of robust triangulation with the true cameras. `--oracle FILE` runs a module with `find` and
-`structure` beside. The truth takes no part in any fit.
+the motions of the half `setting`; those of `looking` show whether they hold elsewhere. The error is
+that of structures aligned frame by frame, never mirrored, on keypoints that two views or more see,
+beside that of robust triangulation with the true cameras. `--oracle FILE` runs a module with `find`
+and `structure` beside. The truth takes no part in any fit.
 """
 
 import argparse

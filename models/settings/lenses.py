@@ -154,14 +154,24 @@ def known_lenses(lenses: Sequence[Lens | None], sizes: Sizes) -> list[KnownLens 
         found.append(_in_pixels(view, lens, sizes[view]) if known and lens else None)
     groups = alike_views(lenses)
     for view, group in enumerate(groups):
-        like = [other for other in range(len(groups)) if groups[other] == group and found[other]]
+        like = [k for k, known in enumerate(found) if known is not None and groups[k] == group]
         if found[view] is None and like:
-            ours, theirs, lens = sizes[view], sizes[like[0]], found[like[0]]
-            if lens is not None and ours != theirs and None in (ours, theirs):
-                raise LensError(view, "same_as needs the sizes of both images, or of none")
-            share = 1.0 if ours is None or theirs is None else max(ours) / max(theirs)
-            found[view] = lens and KnownLens(focal=lens.focal * share, sd=lens.sd)
+            found[view] = _as_large(view, found[like[0]], sizes[view], sizes[like[0]])
     return found
+
+
+def _as_large(
+    view: int,
+    known: KnownLens | None,
+    size: tuple[int, int] | None,
+    other: tuple[int, int] | None,
+) -> KnownLens | None:
+    """Return the lens that is `known` of an image of the `other` size, in an image of this one."""
+    if known is None or size == other:
+        return known
+    if size is None or other is None:
+        raise LensError(view, "same_as needs the sizes of both images, or of none")
+    return KnownLens(focal=known.focal * max(size) / max(other), sd=known.sd)
 
 
 class LensError(ValueError):

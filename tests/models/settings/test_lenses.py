@@ -90,13 +90,8 @@ def test_what_is_known_is_a_prior_of_the_cameras() -> None:
     assert np.abs(correlations[0, 1:]).max() == 0
 
     # A calibration knows better.
-    calibrated = config.model_copy(
-        update={
-            "calibration": FitConfig.model_validate(
-                {"calibration": [given, None, None]}
-            ).calibration
-        }
-    )
+    calibration = FitConfig.model_validate({"calibration": [given, None, None]}).calibration
+    calibrated = config.model_copy(update={"calibration": calibration})
     problem = problem_of(keypoints, weights, sizes, calibrated)
     assert problem.reference.lenses.focals[0] == pytest.approx([1234, 1234])
     assert problem.lens_sds[0, FOCAL] == 0
