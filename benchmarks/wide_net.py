@@ -1,14 +1,12 @@
 """How true structures and cameras are on rigs that nobody chose: hundreds of numbered draws.
 
-    python -m benchmarks.wide_net [--draws 0 60] [--half setting|looking] [--pairs] [--geometry]
-                                  [--data FOLDER] [--oracle FILE] [--processes N] [--json FILE]
+    python -m benchmarks.wide_net --help
 
 Each draw (`benchmarks/drawn_captures.py`) is fitted with the default configuration, or with
 `--geometry` its cameras are found from keypoints alone, which takes seconds. Constants are set on
-the motions of the half `setting`; those of `looking` show whether they hold elsewhere. The error is
-that of structures aligned frame by frame, never mirrored, on keypoints that two views or more see,
-beside that of robust triangulation with the true cameras. `--oracle FILE` runs a module with `find`
-and `structure` beside. The truth takes no part in any fit.
+the motions of one half; the other shows whether they hold elsewhere. The error is that of
+structures aligned frame by frame, never mirrored, on keypoints that two views or more see, beside
+that of triangulation with the true cameras. The truth takes no part in any fit.
 """
 
 import argparse
@@ -124,9 +122,8 @@ def _measured(job: tuple[int, argparse.Namespace]) -> Row | None:
     draw = draw_capture(number, arguments.data, arguments.half)
     if draw is None or (arguments.pairs and (draw.moving or draw.keypoints.shape[1] > 2)):
         return None
-    found = by_geometry if arguments.geometry else by_fit
     try:
-        return measure(draw, found, arguments.oracle)
+        return measure(draw, by_geometry if arguments.geometry else by_fit, arguments.oracle)
     except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
         print(f"draw {number}: {traceback.format_exc()}", flush=True)
         return None
@@ -311,11 +308,9 @@ def _by_oracle(draw: Draw, file: Path) -> Float64:
     spec = importlib.util.spec_from_file_location("oracle", file)
     if spec is None or spec.loader is None:
         raise SystemExit(f"{file} is no module")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
     weights = np.isfinite(draw.keypoints).all(-1).astype(float)
-    found = module.find(draw.keypoints, weights, draw.sizes)
-    if found is None:
+    if (found := module.find(draw.keypoints, weights, draw.sizes)) is None:
         return np.full(draw.points3d.shape, np.nan)
     return np.asarray(module.structure(draw.keypoints, weights, found["cams"], found["sig"]))
 

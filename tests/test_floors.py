@@ -56,7 +56,7 @@ PACKAGES = {
             "sockets",
             "upright",
         ),
-        ("calibration", "corrections", "embedded", "keys", "reading_options"),
+        ("calibration", "corrections", "embedded", "keys", "lenses", "reading_options"),
         ("gif", "readers"),
         ("api", "known_data"),
         ("client", "room"),
