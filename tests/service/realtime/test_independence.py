@@ -10,13 +10,14 @@ import httpx2
 import numpy as np
 
 from models.capture.synthetic import SyntheticCapture
+from service.app import ENDPOINTS
 from service.http.uploads import LARGE_BYTES
 from service.realtime.lift import TINY_BYTES
 from tests.service.conftest import BYTES, Live, frames_of, to_safetensors
 from tests.service.realtime.conftest import as_bytes, read_bytes, started
 from tests.waiting import wait_for
 
-THREADS = 40  # in which requests wait for the records: as many as FastAPI has
+OTHERS = 20  # requests that wait for those that wait for the records
 PATIENCE_SECONDS = 5.0  # far less than the records are waited for
 
 
@@ -31,7 +32,7 @@ def locked(records: Path) -> Iterator[None]:
 def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
     live: Live, weights: bytes, capture: SyntheticCapture
 ) -> None:
-    """While more requests wait for them than there are threads for that."""
+    """While more requests wait for them than may be at work at a time."""
     made = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
     model = "independent@test"
     assert live.http.put(f"/models/{model}", json={"model_id": made}).status_code == 200
@@ -49,16 +50,16 @@ def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
 
     before = stored()
     with (
-        ThreadPoolExecutor(THREADS + 20) as clients,
+        ThreadPoolExecutor(ENDPOINTS + OTHERS) as clients,
         httpx2.Client(base_url=live.url, timeout=PATIENCE_SECONDS) as http,
         started(live.http, model, model_id=made) as socket,
     ):
         with locked(live.data_dir / "records.db"):
             waiting = [
                 clients.submit(live.http.post, "/datasets", content=tiny, headers=BYTES)
-                for _ in range(THREADS + 20)
+                for _ in range(ENDPOINTS + OTHERS)
             ]
-            wait_for(lambda: stored() >= before + THREADS, "requests that wait", 15)
+            wait_for(lambda: stored() >= before + ENDPOINTS, "requests that wait", 15)
             for n in range(5):
                 assert http.post("/lift", json=small).status_code == 200
                 for body in (tiny, middle, large):
@@ -68,5 +69,7 @@ def test_lifts_streams_and_liveness_do_not_wait_for_the_records(
                 with started(live.http, model, model_id=made):
                     pass
                 assert http.get("/health/live").status_code == 200
-            assert not any(request.done() for request in waiting)
-        assert {request.result().status_code for request in waiting} == {201}
+            assert not any(request.done() and request.result().is_success for request in waiting)
+        answers = [request.result().status_code for request in waiting]
+        assert answers.count(201) >= ENDPOINTS
+        assert set(answers) <= {201, 503}  # who had no turn in time
