@@ -24,7 +24,7 @@ from tests.service.stored_fits import put_fit
 from tests.sharing import fitted_once
 
 OWNERS = ("/fits/{fit_id}/", "/models/{model_id}/", "/datasets/{dataset_id}/")
-NO_FILES = {"/fits/{fit_id}/events"}
+NO_FILES = {"/fits/{fit_id}/events", "/datasets/{dataset_id}/corrections"}
 CAMERAS, NETWORK = "/models/{model_id}/cameras", "/models/{model_id}/network"
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 
