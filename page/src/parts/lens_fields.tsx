@@ -98,7 +98,9 @@ export function LensFields({ names, before = null, onChange }: Props) {
         <input
           type="checkbox"
           checked={each}
-          onChange={(event) => change(event.currentTarget.checked ? names.map(() => rows[0] ?? EMPTY) : rows.slice(0, 1))}
+          onChange={(event) =>
+            change(event.currentTarget.checked ? names.map(() => rows[0] ?? EMPTY) : rows.slice(0, 1))
+          }
         />{" "}
         each view has its own
       </label>
