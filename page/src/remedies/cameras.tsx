@@ -2,7 +2,7 @@
 
 import { useState } from "preact/hooks";
 import type { components } from "../api/openapi.d.ts";
-import { LensFields, type Lens } from "../parts/lens_fields.tsx";
+import { LensFields } from "../parts/lens_fields.tsx";
 import { FitAgain, OneOf } from "./fit_again.tsx";
 import { PerView } from "./per_view.tsx";
 import { useSubject, viewNames } from "./subject.ts";
@@ -59,7 +59,7 @@ export function LensControl() {
 
 export function KnownLensesControl() {
   const { dataset, fit } = useSubject();
-  const before = (fit?.config?.lenses ?? null) as (Lens | null)[] | null;
+  const before = fit?.config?.lenses ?? null;
   const [lenses, setLenses] = useState(before);
   return (
     <>
