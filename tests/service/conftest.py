@@ -29,13 +29,11 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
-from store import access_keys
-from store.database import Store
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
+from tests.service.left_behind import end_keys
 from tests.service.owner import OwnersClient
-from tests.service.stored_fits import cancel_waiting
 from tests.sharing import fitted_once
 from tests.waiting import wait_for
 from worker.process import python, tied
@@ -53,6 +51,7 @@ SEEKING: dict[str, Any] = {
 CONFIG = SEEKING | {"cameras": "moving"}
 
 MIB = 1024 * 1024
+IN_USE: list[Settings] = []  # of the apps in this process
 
 
 def nested(array: np.ndarray[Any, Any]) -> list[Any] | None:
@@ -136,9 +135,9 @@ def deployment(
 
 
 @pytest.fixture(scope="session")
-def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
+def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Iterator[Settings]:
     """Limits that a test can reach."""
-    return Settings(
+    limited = Settings(
         **deployment,
         redis_url=RedisDsn(f"{valkey.connection_url}/0"),
         max_body_bytes=4 * MIB,
@@ -150,17 +149,17 @@ def settings(valkey: ValkeyServer, deployment: dict[str, Any]) -> Settings:
         max_queued_fits=20,
         max_queued_lifts=5,
     )
+    IN_USE.append(limited)
+    yield limited
+    IN_USE.remove(limited)
 
 
-@pytest.fixture(scope="module")
-def keys_end(settings: Settings) -> Iterator[None]:
+@pytest.fixture(scope="module", autouse=True)
+def keys_end() -> Iterator[None]:
     """End what a module's keys hold: nobody has the whole while one is in force, fits wait."""
     yield
-    store = Store(settings)
-    for key in access_keys.in_force(store):
-        access_keys.revoke(store, key.id)
-    cancel_waiting(store)
-    store.close()
+    for used in IN_USE:
+        end_keys(used)
 
 
 @pytest.fixture(scope="session")

@@ -5,13 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
-from sqlalchemy import select
 
 from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from store import attempts, fits
 from store.database import Store
-from store.records import FitRecord
 
 
 def put_fit(
@@ -53,11 +51,3 @@ def put_fit(
         },
     )
     return made.id
-
-
-def cancel_waiting(records: Store) -> None:
-    """Cancel the fits that wait for a worker."""
-    with records.reading() as session:
-        waiting = session.scalars(select(FitRecord.id).where(FitRecord.status == "queued")).all()
-    for fit_id in waiting:
-        fits.cancel(records, fit_id)

@@ -2,13 +2,10 @@
 
 from typing import Any
 
-import pytest
 from starlette.testclient import TestClient
 
 from tests.service.conftest import make_dataset
 from tests.service.test_keys import OF_METHODS, bearer
-
-pytestmark = pytest.mark.usefixtures("keys_end")
 
 SECRET = "of the patient"  # noqa: S105 (a name)
 

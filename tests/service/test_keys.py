@@ -16,8 +16,6 @@ from store.quotas import Quotas
 from tests.service.conftest import CONFIG, JSON, frames_of, problem
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 # What a route needs, by the begin of its path or else its method.
 NEEDS = {
     "/keys": "admin",

@@ -41,8 +41,6 @@ from tests.service.test_keys import OF_METHODS, WITHOUT_DOCUMENT, bearer
 from tests.waiting import wait_for
 from worker.process import tied
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 # Sends requests as a user, and prints their statuses.
 AS_USER = """
 import encodings.idna, http.client, json, os, sys

@@ -41,8 +41,6 @@ from tests.service.conftest import (
 from tests.service.test_keys import bearer
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 PLACES = 8
 OF_ONE_KEY = 6
 REQUESTS = 64

@@ -34,8 +34,6 @@ from tests.service.realtime.conftest import (
 )
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 
 def ending(socket: ClientConnection) -> tuple[StreamError, int]:
     """Return the last message of a stream and its close code."""

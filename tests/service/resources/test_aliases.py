@@ -28,8 +28,6 @@ from tests.service.conftest import (
 from tests.service.realtime.conftest import as_bytes, read_bytes, started
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 ALIAS = "walk@production"
 ONE_FRAME = np.random.default_rng(0).uniform(0, 1000, (1, 3, 16, 2))
 

@@ -4,7 +4,6 @@ import json
 import struct
 
 import httpx2
-import pytest
 from starlette.testclient import TestClient
 
 from store import access_keys
@@ -12,8 +11,6 @@ from store.access_keys import SCOPES
 from store.database import Store
 from store.quotas import Quotas
 from tests.service.conftest import problem, zip_of
-
-pytestmark = pytest.mark.usefixtures("keys_end")
 
 
 def refused(answer: httpx2.Response, field: str = "files") -> str:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import orjson
-import pytest
 from starlette.testclient import TestClient
 
 from service.app import create_app
@@ -13,8 +12,6 @@ from store.database import Store
 from store.quotas import Quotas
 from tests.service.conftest import BYTES, make_dataset, problem
 from tests.service.owner import OwnersClient
-
-pytestmark = pytest.mark.usefixtures("keys_end")
 
 
 def kinds(storage: dict[str, Any]) -> dict[str, tuple[int, int]]:

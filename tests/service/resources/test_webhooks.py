@@ -11,8 +11,6 @@ from store.database import Store
 from store.webhooks import EVENTS
 from tests.service.conftest import make_dataset, problem
 
-pytestmark = pytest.mark.usefixtures("keys_end")
-
 URL = "https://lab.example/fewview?a=b"
 
 
