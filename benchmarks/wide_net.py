@@ -10,12 +10,12 @@ that of triangulation with the true cameras. The truth takes no part in any fit.
 """
 
 import argparse
-import importlib.util
 import json
 import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from benchmarks.drawn_captures import Draw, draw_capture
 from benchmarks.figures import print_table
 from benchmarks.motions import HALVES
+from benchmarks.oracle import by_oracle
 from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import focal_deviations, geometry_of, start_from_geometry
 from models.calibrating.lens_effect import lens_findings
@@ -40,6 +41,7 @@ from models.numerics.steps import finished
 from models.numerics.threads import use_threads
 from models.optics.lenses.projection import Lenses, project
 from models.settings.config import FitConfig
+from models.settings.lenses import Lens
 from models.training.trainer import fit
 
 Float64 = NDArray[np.float64]
@@ -104,6 +106,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--only", type=int, nargs="+", help="these draws alone")
     parser.add_argument("--half", choices=HALVES, help="draw the motions of this half")
     parser.add_argument("--pairs", action="store_true", help="static pairs alone")
+    parser.add_argument("--lenses", type=float, help="give focal lengths so far off, as a share")
     parser.add_argument("--geometry", action="store_true", help="stop before the network")
     parser.add_argument("--data", type=Path, help="folder of captures with `points3d`")
     parser.add_argument("--oracle", type=Path, help="a module with `find` and `structure`")
@@ -122,11 +125,21 @@ def _measured(job: tuple[int, argparse.Namespace]) -> Row | None:
     draw = draw_capture(number, arguments.data, arguments.half)
     if draw is None or (arguments.pairs and (draw.moving or draw.keypoints.shape[1] > 2)):
         return None
+    found = by_geometry if arguments.geometry else by_fit
     try:
-        return measure(draw, by_geometry if arguments.geometry else by_fit, arguments.oracle)
+        return measure(draw, partial(found, config=_given(draw, arguments)), arguments.oracle)
     except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
         print(f"draw {number}: {traceback.format_exc()}", flush=True)
         return None
+
+
+def _given(draw: Draw, arguments: argparse.Namespace) -> FitConfig:
+    """Return the configuration, with focal lengths as a data sheet has them if asked for."""
+    if arguments.lenses is None:
+        return FitConfig()
+    off = np.random.default_rng(draw.number).standard_normal(len(draw.focals))
+    focals = draw.focals * np.exp(arguments.lenses * off)
+    return FitConfig(lenses=tuple(Lens(focal=focal, sd=arguments.lenses) for focal in focals))
 
 
 class Answer(NamedTuple):
@@ -142,10 +155,10 @@ class Answer(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def by_geometry(draw: Draw) -> Answer:
+def by_geometry(draw: Draw, config: FitConfig) -> Answer:
     """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
-    problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, FitConfig())
+    problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, config)
     found = finished(geometry_of(problem, declared=False)).rig
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ())
@@ -165,9 +178,9 @@ def by_geometry(draw: Draw) -> Answer:
     )
 
 
-def by_fit(draw: Draw) -> Answer:
-    """Fit with the default configuration and lift the frames of the fit."""
-    prior = fit(draw.keypoints, FitConfig(), image_sizes=draw.sizes)
+def by_fit(draw: Draw, config: FitConfig) -> Answer:
+    """Fit, and lift the frames of the fit."""
+    prior = fit(draw.keypoints, config, image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
     cameras, points = prior.cameras, lift.points3d.astype(np.float64)
     if cameras is None:
@@ -229,7 +242,7 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
         draw.words,
         error,
         bound,
-        np.nan if oracle is None else _error(draw, _by_oracle(draw, oracle), asked),
+        np.nan if oracle is None else _error(draw, by_oracle(draw, oracle), asked),
         bool(reflected < error),
         answer.certainty,
         draw.moving,
@@ -301,18 +314,6 @@ def _turn(draw: Draw, rotations: Float64) -> float:
     true = draw.rotations[0, known][:, None] @ draw.rotations[0, known].mT
     cosines = (np.trace(ours @ true.mT, axis1=-2, axis2=-1) - 1) / 2
     return float(np.degrees(np.arccos(cosines.clip(-1, 1)).max()))
-
-
-def _by_oracle(draw: Draw, file: Path) -> Float64:
-    """Points (N, P, 3) of the oracle."""
-    spec = importlib.util.spec_from_file_location("oracle", file)
-    if spec is None or spec.loader is None:
-        raise SystemExit(f"{file} is no module")
-    spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
-    weights = np.isfinite(draw.keypoints).all(-1).astype(float)
-    if (found := module.find(draw.keypoints, weights, draw.sizes)) is None:
-        return np.full(draw.points3d.shape, np.nan)
-    return np.asarray(module.structure(draw.keypoints, weights, found["cams"], found["sig"]))
 
 
 def summary(rows: list[Row]) -> list[dict[str, Any]]:
