@@ -45,7 +45,6 @@ from models.settings.lenses import Lens
 from models.training.trainer import fit
 
 Float64 = NDArray[np.float64]
-
 FEWEST = 4  # keypoints of a frame that two views see, for the frame to count
 SLACK = 0.001  # of the subject's height that is granted beyond a ratio
 ABOUT_CAMERAS = (  # findings that warn of the cameras

@@ -68,25 +68,8 @@ def settle_by_geometry(
         f"keypoints of all frames are one rigid scene of {views} static cameras,"
         f" to {found.noise * problem.side:.3g} px (from keypoints)"
     )
-    checked = checked._replace(problem=_held_as_known(checked.problem, checked.solution))
     arranged = Arranged(solution, checked, reason, certain, (), kept=deviations)
     return Settled(arranged, whole)
-
-
-def _held_as_known(problem: CalibrationProblem, solution: Solution) -> CalibrationProblem:
-    """Hold the focal lengths of two views that were known roughly where epipolar geometry has them.
-
-    Shapes of few frames can be wrong by far more than a data sheet, and do not show it.
-    """
-    known = (problem.lens_sds[:, FOCAL] > 0) & np.isfinite(problem.lens_sds[:, FOCAL])
-    if known.tolist() != [True, True]:
-        return problem
-    lenses, sds = problem.reference.lenses, problem.lens_sds.copy()
-    sds[:, FOCAL] = 0
-    reference = problem.reference._replace(
-        lenses=lenses._replace(focals=solution.rig.lenses.focals.copy())
-    )
-    return problem._replace(reference=reference, lens_sds=sds)
 
 
 def _static_rig(
