@@ -45,6 +45,7 @@ from models.settings.lenses import Lens
 from models.training.trainer import fit
 
 Float64 = NDArray[np.float64]
+DEFAULT = FitConfig()
 FEWEST = 4  # keypoints of a frame that two views see, for the frame to count
 SLACK = 0.001  # of the subject's height that is granted beyond a ratio
 ABOUT_CAMERAS = (  # findings that warn of the cameras
@@ -154,7 +155,7 @@ class Answer(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def by_geometry(draw: Draw, config: FitConfig) -> Answer:
+def by_geometry(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
     """Find cameras without the network, and triangulate with them."""
     weights: Float64 = np.all(np.isfinite(draw.keypoints), -1).astype(np.float64)
     problem = problem_of(np.nan_to_num(draw.keypoints), weights, draw.sizes, config)
@@ -177,7 +178,7 @@ def by_geometry(draw: Draw, config: FitConfig) -> Answer:
     )
 
 
-def by_fit(draw: Draw, config: FitConfig) -> Answer:
+def by_fit(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
     """Fit, and lift the frames of the fit."""
     prior = fit(draw.keypoints, config, image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
