@@ -140,7 +140,7 @@ BEARER = {
     "scheme": "bearer",
     "description": "The token of a key, as `fewview key create` or `POST /keys` gives it. Who "
     "connects from the service's own machine, as its own user or as root, needs none, unless by a "
-    "browser, which needs that of `GET /keys/page`.",
+    "browser, which needs that of `GET /page-key`.",
 }
 
 DESCRIPTION = """

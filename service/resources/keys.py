@@ -20,7 +20,7 @@ from store.access_keys import SCOPES, Project, Scope
 from store.quotas import Quotas
 from store.records import DEFAULT_PROJECT, AccessKey
 
-router = APIRouter(prefix="/keys", tags=["keys"])
+router = APIRouter(tags=["keys"])
 
 EXAMPLE: dict[str, Any] = {
     "id": "key_01m7yspdypmt22jq6npfg62xe5",
@@ -114,7 +114,7 @@ class KeyPage(BaseModel):
 
 
 @router.post(
-    "",
+    "/keys",
     status_code=status.HTTP_201_CREATED,
     responses=problems(*BODY_PROBLEMS),
     openapi_extra=request_body(KeyCreate),
@@ -139,7 +139,7 @@ def create_key(upload: UploadBody, store: StoreDep, request: Request, response: 
     return NewKey.of(record, token=token)
 
 
-@router.get("", responses=problems())
+@router.get("/keys", responses=problems())
 def list_keys(
     store: StoreDep,
     limit: LimitQuery = 50,
@@ -164,7 +164,7 @@ class PageKey(BaseModel):
     )
 
 
-@router.get("/page", responses=problems("not_found"))
+@router.get("/page-key", responses=problems("not_found"))
 async def get_page_key(request: Request, response: Response) -> PageKey:
     """Return the key with which a browser of the service's own user may use the page."""
     owner: LocalOwner = request.app.state.local_owner
@@ -178,13 +178,15 @@ async def get_page_key(request: Request, response: Response) -> PageKey:
     return PageKey(token=owner.page_key)
 
 
-@router.get("/{key_id}", responses=problems("not_found"))
+@router.get("/keys/{key_id}", responses=problems("not_found"))
 def get_key(key_id: Identifier, store: StoreDep) -> Key:
     """Describe a key."""
     return Key.of(access_keys.get(store, key_id))
 
 
-@router.delete("/{key_id}", status_code=status.HTTP_204_NO_CONTENT, responses=problems("not_found"))
+@router.delete(
+    "/keys/{key_id}", status_code=status.HTTP_204_NO_CONTENT, responses=problems("not_found")
+)
 def revoke_key(key_id: Identifier, store: StoreDep, request: Request) -> None:
     """Revoke a key: within a second no process accepts it. It stays in the list."""
     access_keys.revoke(store, key_id)

@@ -104,7 +104,7 @@ def watched(context: BrowserContext, live: Live) -> Iterator[Watched]:
 
 def watch(page: Page, base: str, key: str | None = None) -> Watched:
     """Watch a page, which has a key; without one that of its owner, if the service knows us."""
-    answer = httpx2.get(f"{base}/keys/page", trust_env=False)
+    answer = httpx2.get(f"{base}/page-key", trust_env=False)
     owners = str(answer.json()["token"]) if answer.is_success else None
     watched = Watched(page, base, key or owners)
 

@@ -86,7 +86,7 @@ def test_anothers_page_at_localhost_is_not_the_owners(context: BrowserContext, l
     page = context.new_page()
     page.route(f"{there}/", lambda route: route.fulfill(body="mine", content_type="text/html"))
     page.goto(f"{there}/")
-    for method, path in (("GET", "/datasets"), ("GET", "/keys/page"), ("POST", "/keys")):
+    for method, path in (("GET", "/datasets"), ("GET", "/page-key"), ("POST", "/keys")):
         asked = f"fetch('{path}', {{method: '{method}'}}).then(answer => answer.status)"
         assert page.evaluate(asked) == 401, path
 

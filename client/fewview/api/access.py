@@ -113,7 +113,7 @@ class Keys(Resource[Driver]):
         NotFound
             The service lets nobody in without a key.
         """
-        return self._call(Request("GET", "/keys/page", form_in(PageKey)))
+        return self._call(Request("GET", "/page-key", form_in(PageKey)))
 
     @listing
     def list(self) -> Request[Page[Key]]:

@@ -29,7 +29,7 @@ def test_closed_by_default(api: TestClient) -> None:
 
 
 def key_of_page(client: TestClient) -> dict[str, str]:
-    return {"Authorization": f"Bearer {client.get('/keys/page').json()['token']}"}
+    return {"Authorization": f"Bearer {client.get('/page-key').json()['token']}"}
 
 
 def key_for_all(client: TestClient) -> dict[str, str]:
@@ -59,7 +59,7 @@ def test_no_foreign_page_passes_for_the_owner(settings: Settings, given: str) ->
             for key in ({}, key_of_page(client)):
                 for method, path in (
                     ("GET", "/datasets"),
-                    ("GET", "/keys/page"),
+                    ("GET", "/page-key"),
                     ("POST", "/keys"),
                 ):
                     asked = client.request(method, path, headers=key | {"Origin": origin})

@@ -57,7 +57,7 @@ def bearer(token: str) -> dict[str, str]:
 
 
 def page_key(api: Any) -> dict[str, str]:
-    answer = api.get("/keys/page")
+    answer = api.get("/page-key")
     assert answer.headers["cache-control"] == "no-store"
     return bearer(answer.json()["token"])
 
@@ -68,7 +68,7 @@ def test_programs_need_no_key_and_browsers_that_of_the_page(api: TestClient) -> 
     for headers in OF_PROGRAMS:
         assert api.get("/datasets", headers=headers).status_code == 200
     for headers in OF_BROWSERS:
-        for path in ("/datasets", "/keys/page", "/none"):
+        for path in ("/datasets", "/page-key", "/none"):
             detail = problem(api.get(path, headers=headers), 401, "unauthorized")
             assert "fewview open" in detail
         problem(api.post("/keys", json=asked, headers=headers), 401, "unauthorized")
@@ -125,7 +125,7 @@ def test_who_trusts_nobody_has_no_key_for_the_page(settings: Settings) -> None:
     token = "a" * 40
     closed = settings.model_copy(update={"admin_key": token, "trust_local": False})
     with OwnersClient(create_app(closed)) as client:
-        detail = problem(client.get("/keys/page", headers=bearer(token)), 404, "not_found")
+        detail = problem(client.get("/page-key", headers=bearer(token)), 404, "not_found")
         assert "fewview key create" in detail
 
 

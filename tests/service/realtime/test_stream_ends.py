@@ -167,7 +167,7 @@ def test_streams_are_bounded_in_number_and_silence(settings: Settings, model: st
 
 
 def page_key(http: httpx2.Client) -> str:
-    return str(http.get("/keys/page").json()["token"])
+    return str(http.get("/page-key").json()["token"])
 
 
 def lifting_key(http: httpx2.Client) -> str:
