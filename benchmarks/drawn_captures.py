@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.motions import EXAMPLE, ROOT, motions
+from benchmarks.motions import EXAMPLE, ROOT, motions, taken
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
@@ -149,17 +149,8 @@ class _Lenses(NamedTuple):
 
 def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64, list[str]]:
     """Return frames (N, P, 3) of a motion about the origin with z up, and what was drawn."""
-    complete = np.flatnonzero(np.isfinite(truth).all(-1).mean(1) > 0.8)
-    count = int(_log_uniform(FRAMES, rng))
-    clip = bool(rng.random() < 0.6)
-    if clip:
-        stride = int(rng.integers(1, max(2, len(complete) // count)))
-        span = min(count * stride, len(complete))
-        start = int(rng.integers(len(complete) - span + 1))
-        chosen = complete[start : start + span : stride]
-    else:
-        chosen = np.sort(rng.permutation(complete)[:count])
-    points, words = _walking(np.roll(truth[chosen], 2 - up, axis=2), rng, clip=clip)
+    points, clip = taken(truth, up, int(_log_uniform(FRAMES, rng)), rng)
+    points, words = _walking(points, rng, clip=clip)
     return points, ["clip" if clip else "scattered", *words]
 
 

@@ -78,18 +78,23 @@ def motions(half: str, data: Path | None = None) -> dict[str, Motion]:
 
 
 def capture(file: Path, up: int, frames: int, rng: np.random.Generator) -> Float64:
-    """Take frames in a row, or scattered ones, of a capture's ground truth."""
+    """Take some frames of a capture's ground truth."""
     with np.load(file) as arrays:
-        truth = arrays["points3d"].astype(np.float64)
+        return taken(arrays["points3d"].astype(np.float64), up, frames, rng)[0]
+
+
+def taken(truth: Float64, up: int, frames: int, rng: np.random.Generator) -> tuple[Float64, bool]:
+    """Return frames (N, P, 3) of a ground truth with z up, and whether they are in a row."""
     complete = np.flatnonzero(np.isfinite(truth).all(-1).mean(1) > 0.8)
-    if rng.random() < 0.6:
+    in_a_row = bool(rng.random() < 0.6)
+    if in_a_row:
         stride = int(rng.integers(1, max(2, len(complete) // frames)))
         span = min(frames * stride, len(complete))
         start = int(rng.integers(len(complete) - span + 1))
         chosen = complete[start : start + span : stride]
     else:
         chosen = np.sort(rng.permutation(complete)[:frames])
-    return np.roll(truth[chosen], 2 - up, axis=2)
+    return np.roll(truth[chosen], 2 - up, axis=2), in_a_row
 
 
 def clip(file: Path, frames: int, rng: np.random.Generator) -> Float64:

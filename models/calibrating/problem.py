@@ -113,7 +113,8 @@ def problem_of(
     if config.lenses is not None:
         lenses = lens_of_each_view(config.lenses, views)
         reference = _with_known_lenses(reference, lens_sds, lenses, image_sizes or (None,) * views)
-        if any(lens is not None and lens.same_as is not None for lens in lenses):
+        linked = any(lens is not None and lens.same_as is not None for lens in lenses)
+        if linked and alike is not True:
             alike, groups = False, np.array(alike_views(lenses))
     return CalibrationProblem(
         keypoints,

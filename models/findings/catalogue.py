@@ -188,7 +188,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "The keypoints hardly determine the focal length (a far or flat subject, or few frames). It"
         " is estimated with a wide standard deviation, and distances along the view are as"
         " uncertain.",
-        "Say what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or give a"
+        "Give what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or a"
         " `calibration`; set `cameras_alike: true` if the lenses are alike, or film the subject"
         " nearer and in more places.",
     ),
@@ -198,7 +198,7 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " than the noise of the keypoints does. The evidence gives the mean error that is expected"
         " from each, as a share of the subject's height (`error_by_lenses_of_height`,"
         " `error_by_noise_of_height`).",
-        "Say what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or give a"
+        "Give what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or a"
         " `calibration`; give `image_sizes` that are missing, set `cameras_alike: true` if the"
         " lenses are alike, or add a third view.",
     ),
@@ -221,8 +221,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "warning",
         "The lenses that explain the keypoints best are unlike real ones: the keypoints or what was"
         " given of the cameras is probably wrong.",
-        "Look at the other findings, give the image sizes, say what is known of the lenses"
-        " (`lenses`) or give a calibration, or set `cameras_alike: false` if the lenses differ.",
+        "Look at the other findings, give the image sizes, what is known of the lenses (`lenses`)"
+        " or a calibration, or set `cameras_alike: false` if the lenses differ.",
     ),
     "rig_not_used": Entry(
         "warning",

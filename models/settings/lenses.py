@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import TypeAliasType
@@ -15,7 +15,7 @@ USUAL_SD = 0.05  # share of the focal length: of sheets of devices, and of what 
 
 
 class Lens(BaseModel):
-    """What is known of one view's lens: one of four ways to say its focal length."""
+    """What is known of one view's lens: its focal length, in one of four ways."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -48,7 +48,9 @@ class Lens(BaseModel):
     )
     focal: float | None = Field(default=None, gt=1, le=1e6, description="Focal length, pixels.")
     same_as: Annotated[int, Field(ge=0, le=63)] | None = Field(
-        default=None, description="A view, from 0, that was filmed with the same lens and zoom."
+        default=None,
+        description="A view, from 0, that was filmed with the same lens and zoom. Views that are"
+        " the same as no other then count as unlike, unless `cameras_alike` is true.",
     )
     sd: float = Field(
         default=USUAL_SD,
@@ -58,7 +60,7 @@ class Lens(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _says_one_thing(self) -> Self:
+    def _has_one_way(self) -> Self:
         ways = ("equivalent", "field_of_view", "focal", "same_as")
         given = [way for way in ways if getattr(self, way) is not None]
         if len(given) != 1:
@@ -90,13 +92,11 @@ class Lens(BaseModel):
         return extents[self.axis] / 2 / math.tan(angle / 2)
 
 
-class KnownLens(BaseModel):
-    """A focal length in pixels and its standard deviation, as a share of it."""
+class KnownLens(NamedTuple):
+    """A focal length that is known roughly."""
 
-    model_config = ConfigDict(frozen=True)
-
-    focal: float
-    sd: float
+    focal: float  # pixels
+    sd: float  # its standard deviation, as a share of it
 
 
 def lens_of_each_view(lenses: Sequence[Lens | None], views: int) -> tuple[Lens | None, ...]:
@@ -171,7 +171,7 @@ def _as_large(
         return known
     if size is None or other is None:
         raise LensError(view, "same_as needs the sizes of both images, or of none")
-    return KnownLens(focal=known.focal * max(size) / max(other), sd=known.sd)
+    return known._replace(focal=known.focal * max(size) / max(other))
 
 
 class LensError(ValueError):
@@ -184,6 +184,6 @@ class LensError(ValueError):
 
 def _in_pixels(view: int, lens: Lens, size: tuple[int, int] | None) -> KnownLens:
     try:
-        return KnownLens(focal=lens.pixels(size), sd=lens.sd)
+        return KnownLens(lens.pixels(size), lens.sd)
     except ValueError as error:
         raise LensError(view, str(error)) from error

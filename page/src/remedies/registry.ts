@@ -27,7 +27,7 @@ export const REMEDIES: Record<RemedyField, Remedy> = {
   mirror: { words: "Have mirrored views read so", Control: MirrorControl, suits: always },
   cameras: { words: "Choose whether cameras move", Control: ArrangementControl, suits: ofFit },
   cameras_alike: { words: "Choose whether lenses are alike", Control: AlikeControl, suits: ofFit },
-  lenses: { words: "Say what is known of the lenses", Control: KnownLensesControl, suits: ofFit },
+  lenses: { words: "Give what is known of the lenses", Control: KnownLensesControl, suits: ofFit },
   calibration: { words: "Give focal lengths", Control: LensControl, suits: ofFit },
   known_length: { words: "Give a known length", Control: LengthControl, suits: ofFit },
   handedness: { words: "Show which way round it is", Control: HandednessControl, suits: ofFit },

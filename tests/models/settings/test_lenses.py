@@ -89,6 +89,9 @@ def test_what_is_known_is_a_prior_of_the_cameras() -> None:
     assert correlations[1, 2] > 0.99
     assert np.abs(correlations[0, 1:]).max() == 0
 
+    every = problem_of(keypoints, weights, sizes, config.model_copy(update={"cameras_alike": True}))
+    assert every.lens_groups.tolist() == [0, 0, 0]
+
     # A calibration knows better.
     calibration = FitConfig.model_validate({"calibration": [given, None, None]}).calibration
     calibrated = config.model_copy(update={"calibration": calibration})
