@@ -30,7 +30,7 @@ from benchmarks.oracle import by_oracle
 from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import focal_deviations, geometry_of, start_from_geometry
 from models.calibrating.lens_effect import lens_findings
-from models.calibrating.lens_scan import scan_lenses
+from models.calibrating.pair_lenses import settle_lenses
 from models.calibrating.problem import problem_of
 from models.capture.metrics import pa_mpjpe, procrustes_by_size
 from models.epipolar.robust_points import robust_points
@@ -162,7 +162,7 @@ def by_geometry(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
     found = finished(geometry_of(problem, declared=False)).rig
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ())
-    found = finished(scan_lenses(problem, found))
+    problem, found = finished(settle_lenses(problem, found))
     rig, static = found.best.rig, bool(found.static.all())
     started = start_from_geometry(problem, found) if static else None
     findings = () if started is None else finished(lens_findings(problem, *started))

@@ -14,7 +14,7 @@ from models.calibrating.keypoint_rig import (
     lens_kinds,
     start_from_geometry,
 )
-from models.calibrating.lens_scan import scan_lenses
+from models.calibrating.pair_lenses import settle_lenses
 from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
 from models.epipolar.static_rig import StaticRig
 from models.findings.advice import attempt_steps
@@ -33,7 +33,7 @@ class StaticViews(NamedTuple):
     reason: str
     # Log odds (N,) of its handedness against the other, frame by frame, from each evidence.
     evidence: list[Float64]
-    lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
+    problem: CalibrationProblem  # with groups of alike lenses, and the lenses of two views
     # Standard deviations (K, VIEW) of cameras that were estimated from the rigid scene rather than
     # with shapes; infinite for the others. None: no camera was.
     kept: Float64 | None = None
@@ -68,7 +68,7 @@ def find_static(
     static = yield from _joined(problem, handed, moving, found, hint)
     if static is None or not (certain or _quiet(problem, static.solution, moving)):
         reason = "no two static cameras explain the keypoints as well as moving ones"
-        return StaticViews(moving, reason, [handed.log_odds], problem.lens_groups)
+        return StaticViews(moving, reason, [handed.log_odds], problem)
     if declared:
         static = static._replace(reason=f"the cameras were declared static; {static.reason}")
     return static
@@ -106,13 +106,14 @@ def _learnt(
     problem: CalibrationProblem, handed: Handed, moving: Solution, found: StaticRig
 ) -> Steps[StaticViews]:
     """Learn shapes and moving cameras with the static ones, which have their handedness."""
-    found = yield from scan_lenses(problem, found)
+    problem, found = yield from settle_lenses(problem, found)
     started = start_from_geometry(problem, found, moving)
     if started is None:
         raise np.linalg.LinAlgError("no structure can be located")
     start, deviations = started
     views = np.flatnonzero(found.static).tolist()
-    kept, noise = None, found.noise * problem.side
+    noise = found.noise * problem.side
+    kept = None if problem.lens_posterior is None else deviations
     if len(views) >= LEAST_VIEWS:
         problem = problem._replace(lens_groups=lens_kinds(problem, found))
         # Noisy structures are adjusted towards the shape model, and focal lengths follow: they come
@@ -123,4 +124,4 @@ def _learnt(
     solution = yield from learn(problem._replace(kept=held), start)
     reason = f"keypoints are one rigid scene of the static cameras {views}, to {noise:.3g} px"
     evidence = [found.log_odds, odds_for(solution, handed)]
-    return StaticViews(solution, reason, evidence, problem.lens_groups, kept)
+    return StaticViews(solution, reason, evidence, problem, kept)

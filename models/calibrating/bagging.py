@@ -12,10 +12,6 @@ from models.calibrating.problem import CalibrationProblem
 Float64 = NDArray[np.float64]
 
 RESAMPLED = 200  # times that frames are drawn with replacement
-# Squared distance of two numbers from usual ones, in their deviations. A fortieth of all distances
-# are larger (chi-squared, two degrees of freedom).
-FAR_OFF = 7.38
-BISECTIONS = 60
 
 
 def filled(evidence: Float64) -> Float64:
@@ -43,38 +39,6 @@ def bagged_shares(evidence: Float64, log_prior: Float64, widths: Float64 | float
         densities = widths * np.exp(logs - logs.max())
         shares += densities / densities.sum()
     return shares / RESAMPLED
-
-
-def at_most(information: Float64, widest: Float64) -> Float64:
-    """Limit information (n, n): no direction has less variance than under a covariance (n, n).
-
-    `widest` is positive definite. In the axes that make both matrices diagonal, each variance is
-    the larger of the two.
-    """
-    root = np.linalg.cholesky(widest)
-    known, axes = np.linalg.eigh(root.T @ information @ root)
-    back = np.linalg.solve(root.T, axes)
-    return np.asarray((back * np.minimum(known, 1.0)) @ back.T)
-
-
-def reconciled(information: Float64, off: Float64, usual: Float64) -> Float64:
-    """Limit information (2, 2) on two numbers whose estimates are `off` (2,) the usual ones.
-
-    Far off these it is likelier that the evidence misleads. `usual` (2, 2) is the covariance of
-    true numbers. Both estimates get as much more variance as makes the distance unsurprising (Paule
-    and Mandel, *Consensus values and weighting factors*, 1982).
-    """
-    covariance = np.linalg.inv(information)
-
-    def surprising(variance: float) -> bool:
-        both = covariance + usual + variance * np.eye(2)
-        return float(off @ np.linalg.solve(both, off)) > FAR_OFF
-
-    low, high = 0.0, float(off @ off)
-    for _ in range(BISECTIONS if surprising(0.0) else 0):
-        middle = (low + high) / 2
-        low, high = (middle, high) if surprising(middle) else (low, middle)
-    return np.asarray(np.linalg.inv(covariance + low * np.eye(2)), np.float64)
 
 
 def share_of_information(problem: CalibrationProblem, noise: float) -> float:

@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 from models.bundle.bone_lengths import find_bone_lengths
 from models.bundle.problem import FOCAL, LENS, VIEW, Rig
 from models.bundle.shared_likelihood import SharedLikelihood, likelihood_of_shared
-from models.calibrating.lens_prior import rig_prior
-from models.calibrating.lens_scan import BIAS
+from models.calibrating.lens_prior import BIAS, rig_prior
 from models.calibrating.problem import CLEAR, CalibrationProblem, Solution
 
 Float64 = NDArray[np.float64]

@@ -1,15 +1,15 @@
 """Static cameras from keypoints, without a network.
 
 If static views see one rigid scene (`models.epipolar.static_rig`), geometry gives the cameras in
-seconds, as accurately as any later step. Lenses of two views are scanned by the evidence of shapes
-(`models.calibrating.lens_scan`). Shapes are learnt with these cameras.
+seconds, as accurately as any later step. Lenses of two views have a posterior in which the evidence
+of shapes counts, too (`models.calibrating.pair_lenses`). Shapes are learnt with these cameras.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from models.bundle.problem import FOCAL, Scene, moving_rig, views_apart
+from models.bundle.problem import Scene, moving_rig, views_apart
 from models.bundle.scene_adjustment import adjust_frames
 from models.bundle.shape_model import align
 from models.calibrating.doubts import check_given
@@ -24,7 +24,7 @@ from models.calibrating.handedness import (
     odds_for,
 )
 from models.calibrating.keypoint_rig import lens_kinds, start_from_geometry
-from models.calibrating.lens_scan import scan_lenses
+from models.calibrating.pair_lenses import settle_lenses
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
@@ -51,7 +51,7 @@ def settle_by_geometry(
     contradict.
     """
     views = len(problem.poses)
-    found, certain = yield from _static_rig(problem, config.corners)
+    problem, found, certain = yield from _static_rig(problem, config.corners)
     started = None if found is None else start_from_geometry(problem, found)
     if found is None or started is None:
         return None
@@ -74,21 +74,21 @@ def settle_by_geometry(
 
 def _static_rig(
     problem: CalibrationProblem, corners: Corners | None
-) -> Steps[tuple[StaticRig | None, float]]:
-    """Find static cameras and the certainty of their handedness; None if there are none."""
+) -> Steps[tuple[CalibrationProblem, StaticRig | None, float]]:
+    """Find static cameras and the certainty of their handedness; None if there are none.
+
+    The problem has the posterior of two views' lenses then.
+    """
     found = None if problem.geometry is None else problem.geometry.rig
     if found is None or not found.static.all():
-        return None, 0.0
-    known = np.isfinite(problem.lens_sds[:, FOCAL])
-    if len(known) == 2 and known.sum() == 1:
-        return None, 0.0
+        return problem, None, 0.0
     as_given = None if corners is None else by_volume(found, corners)
     if as_given is not None:
         certain, found = 1.0, as_given
     else:
         certain, found = yield from _handed(problem, found)
-    found = yield from scan_lenses(problem, found)
-    return found, certain
+    problem, found = yield from settle_lenses(problem, found)
+    return problem, found, certain
 
 
 def _handed(problem: CalibrationProblem, found: StaticRig) -> Steps[tuple[float, StaticRig]]:

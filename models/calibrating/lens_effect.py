@@ -1,10 +1,10 @@
 """How much the uncertainty of the lenses of two static views changes structures.
 
-Each focal length is moved by its standard deviation, with the poses adjusted and the points
-located anew. So is each coordinate of a principal point where the size of the image is not known.
-What changes beyond a similarity of each frame is the error that follows from the lens. Lengths
-within the subject that stay constant limit it. It is compared with what the noise of the keypoints
-does to the same points.
+The focal lengths are moved along the axes of their covariance, with the poses adjusted and the
+points located anew. So is each coordinate of a principal point where the size of the image is not
+known. What changes beyond a similarity of each frame is the error that follows from the lens. It is
+compared with what the noise of the keypoints does to the same points, and with what would be left
+if the lenses were known as well as a data sheet has them.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.bone_lengths import LEAST_SCATTER, UNKNOWN, BoneLengths, find_bone_lengths
 from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, points_in_cameras
 from models.calibrating.keypoint_rig import LEAST_KNOWN
 from models.calibrating.problem import CalibrationProblem, Solution
@@ -33,9 +32,9 @@ Int64 = NDArray[np.int64]
 MOVED = [FOCAL, CENTRE_X, CENTRE_Y]  # numbers of a lens that are moved
 FRAMES = 40  # at most, that are examined
 ITERATIONS = 30  # of adjusting the poses
+LEAST_STEP = 0.01  # of a log focal length
 HEIGHT = 4.0  # root-mean-square radii: about the height of a person
-STRAY = 0.9  # quantile of changes and scatters of lengths, beyond which they count as no larger
-STEADIEST = 1e-4  # of a log length: none is known to be steadier
+DATA_SHEET = 0.05  # standard deviation of the log focal length of a lens that is known
 TIMES_NOISE = 3.0  # the effect of noise, from which lenses limit the accuracy
 SLACK = 0.001  # of the height: smaller errors of structures do not matter
 
@@ -44,6 +43,7 @@ class LensEffect(NamedTuple):
     """Errors of structures: mean distances as shares of the subject's height."""
 
     by_lenses: float  # for lenses whose numbers are off by a standard deviation each
+    by_known: float  # the same if the focal lengths were known to `DATA_SHEET`
     by_noise: float  # of the keypoints
 
 
@@ -68,15 +68,20 @@ def lens_findings(
     pair = len(unsure) == 2 and solution.rig.static.all() and solution.given_poses is None
     if not pair or not unsure.any():
         return ()
-    by_lenses, by_noise = yield from lens_effect(problem, solution, deviations)
-    if by_lenses <= TIMES_NOISE * by_noise + SLACK:
+    effect = yield from lens_effect(problem, solution, deviations)
+    if effect.by_lenses <= TIMES_NOISE * effect.by_noise + SLACK:
         return ()
-    finding = Finding.of(
-        "lenses_limit_accuracy",
-        views=() if unsure.all() else np.flatnonzero(unsure),
-        error_by_lenses_of_height=by_lenses,
-        error_by_noise_of_height=by_noise,
-    )
+    posterior = problem.lens_posterior
+    peaks = () if posterior is None or len(posterior.peaks) < 2 else posterior.peaks
+    views = () if unsure.all() else np.flatnonzero(unsure)
+    evidence = {
+        "error_by_lenses_of_height": effect.by_lenses,
+        "error_by_noise_of_height": effect.by_noise,
+        "error_with_lenses_to_5_percent": float(np.hypot(effect.by_known, effect.by_noise)),
+    }
+    for number, peak in enumerate(peaks, 1):
+        evidence[f"likely_focal_{number}_in_sides"] = peak
+    finding = Finding.of("lenses_limit_accuracy", views=views).with_evidence(evidence)
     return (finding,)
 
 
@@ -94,33 +99,72 @@ def lens_effect(
     middle = _structures(seen, points)
     centred = middle - np.nanmean(middle, 1, keepdims=True)
     height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
-    moved = []
-    for step in _steps(problem, deviations):
-        for signed in (step, -step):
-            yield
-            at = _structures(seen, _moved(seen, points, signed))
-            moved.append(procrustes_by_size(at, middle))
-    ends = np.array(moved).reshape(-1, 2, *middle.shape)  # (F, 2, n, P, 3)
-    bones = find_bone_lengths(solution.scene.points, problem.measured)
-    covariance = _allowed(bones._replace(measured=bones.measured[frames]), ends)
-    changes = (ends[:, 0] - ends[:, 1]) / 2
-    squared = 0.0
-    for variance, axis in zip(*np.linalg.eigh(covariance), strict=True):
-        squared += variance * _mean_length(np.tensordot(axis, changes, 1)) ** 2
+    covariance = _focal_covariance(problem, solution, deviations)
+    changes = []  # for a unit of each log focal length, along the axes of their covariance
+    values, axes = np.linalg.eigh(covariance)
+    for variance, axis in zip(values, axes.T, strict=True):
+        size = max(float(np.sqrt(max(variance, 0.0))), LEAST_STEP)
+        step = np.zeros((2, 3))
+        step[:, 0] = size * axis
+        changes.append((yield from _change(seen, points, middle, step)) / size)
+    by_focals = np.tensordot(axes, np.array(changes), 1)  # (2, n, P, 3)
+    left = 0.0
+    for step in _centre_steps(problem, deviations):
+        left += _mean_length((yield from _change(seen, points, middle, step))) ** 2
+    precision = np.linalg.pinv(covariance) + np.eye(2) / DATA_SHEET**2
+    known = np.where(covariance.any(1), np.linalg.inv(precision), 0.0)
     noisy = procrustes_by_size(_structures(seen, _disturbed(seen, points)), middle)
-    return LensEffect(float(np.sqrt(squared) / height), _mean_length(noisy - middle) / height)
+    return LensEffect(
+        float(np.sqrt(_squared(by_focals, covariance) + left) / height),
+        float(np.sqrt(_squared(by_focals, known) + left) / height),
+        _mean_length(noisy - middle) / height,
+    )
 
 
-def _steps(problem: CalibrationProblem, deviations: Float64) -> list[Float64]:
-    """Return steps (2, 3) of log focal lengths, and of principal points in sides.
+def _focal_covariance(
+    problem: CalibrationProblem, solution: Solution, deviations: Float64
+) -> Float64:
+    """Return the covariance (2, 2) of the log focal lengths.
+
+    It is that of their posterior, unless lengths of bones have narrowed it.
+    """
+    posterior = problem.lens_posterior
+    if posterior is None or solution.with_bones:
+        return np.diag(np.square(deviations[:, FOCAL]))
+    return posterior.covariance
+
+
+def _squared(changes: Float64, covariance: Float64) -> float:
+    """Return the squared error that changes (2, n, P, 3) by two numbers cause, in the mean."""
+    return sum(
+        float(max(variance, 0.0)) * _mean_length(np.tensordot(axis, changes, 1)) ** 2
+        for variance, axis in zip(*_axes(covariance), strict=True)
+    )
+
+
+def _axes(covariance: Float64) -> tuple[Float64, Float64]:
+    values, vectors = np.linalg.eigh(covariance)
+    return values, vectors.T
+
+
+def _change(seen: _Seen, points: Float64, middle: Float64, step: Float64) -> Steps[Float64]:
+    """Return how structures (n, P, 3) change with a step of the lenses, beyond a similarity."""
+    ends = []
+    for signed in (step, -step):
+        yield
+        ends.append(procrustes_by_size(_structures(seen, _moved(seen, points, signed)), middle))
+    return (ends[0] - ends[1]) / 2
+
+
+def _centre_steps(problem: CalibrationProblem, deviations: Float64) -> list[Float64]:
+    """Return steps (2, 3) of principal points in sides, one for each coordinate.
 
     Images of unknown sizes have one guess of their principal points, which is off for both views.
     """
     sds = deviations[:, MOVED] / [1.0, problem.side, problem.side]
-    sds[problem.images.known, 1:] = 0.0
-    focals = [np.where(np.arange(3) == 0, row[:, None] * sds, 0.0) for row in np.eye(2)]
-    centres = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
-    return [step for step in focals + centres if step.any()]
+    sds[problem.images.known] = 0.0
+    steps = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
+    return [step for step in steps if step.any()]
 
 
 def _seen(problem: CalibrationProblem, solution: Solution, frames: Int64) -> _Seen:
@@ -155,26 +199,6 @@ def _moved(seen: _Seen, points: Float64, step: Float64) -> Float64:
     start = robust_points(rig, seen.points, seen.noise)
     cameras = adjust_rig(rig, start, seen.points, held, iterations=ITERATIONS)
     return robust_points(cameras.rig, seen.points, cameras.noise)
-
-
-def _allowed(bones: BoneLengths, ends: Float64) -> Float64:
-    """Return the covariance (F, F) of steps of lenses that constant lengths allow.
-
-    Without lengths it is 1. The scatter of lengths that `ends` (F, 2, n, P, 3) of the steps cause
-    is held against the scatter that there is, as a single observation: errors of lengths repeat in
-    all frames and bones.
-    """
-    known = bones.measured & (bones.scatter < UNKNOWN)
-    if not known.any():
-        return np.eye(len(ends))
-    offsets = np.array([[bones.offsets(end) for end in each] for each in np.nan_to_num(ends)])
-    changes = (offsets[:, 0] - offsets[:, 1])[:, known] / 2  # (F, n)
-    most = np.quantile(np.abs(changes), STRAY, axis=1, keepdims=True)
-    changes = changes.clip(-most, most)
-    scatter = np.broadcast_to(bones.scatter, known.shape)[known]
-    squared = np.square(scatter.clip(max=np.quantile(scatter, STRAY))) - LEAST_SCATTER**2
-    caused = changes @ changes.T / changes.shape[1] / max(float(squared.mean()), STEADIEST**2)
-    return np.asarray(np.linalg.inv(np.eye(len(ends)) + caused))
 
 
 def _disturbed(seen: _Seen, points: Float64) -> Float64:

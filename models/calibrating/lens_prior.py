@@ -27,6 +27,9 @@ Float64 = NDArray[np.float64]
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length
 RADIAL_SDS = (0.2, 0.05)  # of the first radial coefficient
 RADIAL_2_SDS = (0.07, 0.01)  # of the second
+# Shapes are learnt from the frames that they are held against: on drawn rigs errors of lenses are
+# so many times what their evidence gives, and so many times the noise over the subject's radius.
+TOO_SURE, BIAS = 2.0, 5.0
 PINHOLE = index_of("pinhole")
 CENTRE_SD = 0.02  # of the principal point, as a share of the image's side
 UNKNOWN_CENTRE_SD = 0.12  # of the middle of all images of unknown size, likewise
@@ -59,6 +62,11 @@ def rig_prior(problem: CalibrationProblem, rig: Rig, *, given_poses: GivenPoses 
     unsure = np.flatnonzero(np.isfinite(sds) & (sds > 0))
     precision[unsure, unsure] = 1 / sds[unsure] ** 2
     free[unsure] = True
+    if problem.lens_posterior is not None:  # which has used what is given
+        lenses = np.flatnonzero(problem.lens_sds[:, FOCAL] > 0)
+        index, covariance = VIEW * lenses + FOCAL, problem.lens_posterior.covariance
+        precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(lenses, lenses)])
+        free[index] = True
     free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0
     free.reshape(views, VIEW)[problem.kept] = False
     mean = make_rig(problem.reference.lenses, rig.groups, poses.rotations, poses.translations)

@@ -6,6 +6,7 @@ for the number of structures that would look the same. First all focal lengths c
 factor. Then each changes alone, and if the evidence rises clearly, the lenses are unlike.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,17 +17,7 @@ from models.bundle.frame_evidence import log_evidence
 from models.bundle.problem import FOCAL, VIEW
 from models.calibrating.bagging import bagged_shares, filled, share_of_information
 from models.calibrating.expectation_maximisation import learn
-from models.calibrating.lens_prior import FOCAL_SDS
-from models.calibrating.lens_scan import (
-    BIAS,
-    FRAMES,
-    LEAST_DEVIATION,
-    LEAST_INFORMATION,
-    LEAST_NOISE,
-    LONGEST,
-    SHORTEST,
-    TOO_SURE,
-)
+from models.calibrating.lens_prior import BIAS, FOCAL_SDS, TOO_SURE
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
@@ -34,7 +25,13 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+FRAMES = 100  # at most, that shapes are learnt from
 ROUNDS = 3  # of learning shapes
+# Of the image's side: evidence distinguishes lenses by less than what their models leave.
+LEAST_NOISE = 5e-5
+LONGEST, SHORTEST = math.log(3.0), math.log(0.35)  # of the expected focal length
+LEAST_DEVIATION = 0.08  # of a log focal length: usual errors of drawn rigs without noise
+LEAST_INFORMATION = 1e-3  # of the evidence on a logarithm: next to none
 STEP, FINE = 0.25, 0.0625  # of a log focal length, over the range and about the best
 FINE_STEPS = 3  # to either side of the best
 HOPELESS = 300.0  # nats: so much less log evidence than its best trial has ends a walk
@@ -104,7 +101,7 @@ def scan_moving_lenses(problem: CalibrationProblem, solution: Solution) -> Steps
     begun = _refocused(problem, solution, best.at - start)
     begun = begun._replace(shapes=best.solution.shapes, noise=best.solution.noise)
     learnt = yield from learn(kept, begun)
-    # What models of shapes leave, and what noise biases, as in the scan of two static views.
+    # What models of shapes leave, and what noise biases.
     bias = BIAS * learnt.measured_noise / problem.size
     sds = np.full((everything, VIEW), np.inf)
     sds[views, FOCAL] = np.hypot(off, np.hypot(LEAST_DEVIATION, bias))

@@ -42,6 +42,14 @@ class Pose(NamedTuple):
     translation: Float64  # (3,) in the user's unit
 
 
+class LensPosterior(NamedTuple):
+    """The posterior of the two log focal lengths of two static views, in sides of the image."""
+
+    mean: Float64  # (2,)
+    covariance: Float64  # (2, 2)
+    peaks: tuple[float, ...]  # common focal lengths where it has peaks, the highest first
+
+
 class CalibrationProblem(NamedTuple):
     """The frames of a self-calibration, and the given values and priors of the cameras."""
 
@@ -60,6 +68,7 @@ class CalibrationProblem(NamedTuple):
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
     kept: NDArray[np.bool_]  # (K,) whose cameras are held as in a solution
     geometry: Geometry | None = None  # of all views, once it was sought
+    lens_posterior: LensPosterior | None = None  # about `reference`, once two views have one
 
     @property
     def side(self) -> float:

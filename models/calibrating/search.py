@@ -91,14 +91,14 @@ def _search(
         findings = noticed(poses_disagree, problem, posed.as_given, moving)
     if config.cameras == "moving":
         why = "the cameras were declared moving"
-        static = StaticViews(moving, why, [handed.log_odds], problem.lens_groups)
+        static = StaticViews(moving, why, [handed.log_odds], problem)
     else:
         declared, hint = config.cameras == "static", config.corners
         static = yield from find_static(problem, handed, moving, declared=declared, hint=hint)
         if declared and static.solution.noise > DOUBTFUL_STATIC * moving.noise:
             freely = yield from geometry_of(problem, declared=False)
             findings += _against_declared_static(freely.rig, static.solution, moving)
-    as_given, problem = static.solution, problem._replace(lens_groups=static.lens_groups)
+    as_given, problem = static.solution, static.problem
     kept = static.kept
     if len(scanned_views(problem, as_given)):
         scanned = yield from attempt_steps(scan_moving_lenses(problem, as_given), None)

@@ -28,8 +28,7 @@ from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_effect import lens_findings
-from models.calibrating.lens_prior import other_lenses, rig_prior
-from models.calibrating.lens_scan import TOO_SURE
+from models.calibrating.lens_prior import TOO_SURE, other_lenses, rig_prior
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
@@ -56,6 +55,9 @@ OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
 BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
+# Squared distance of two log focal lengths from their posterior mean, in its deviations: a
+# hundredth of all distances are larger (chi-squared, two degrees of freedom).
+FAR_OFF = 9.21
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
 MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that ends it
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
@@ -216,7 +218,8 @@ def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) 
     settled = refined.kept is not None
     pair = settled and len(refined.best.rig.groups) == 2
     if noisy is not None and (not settled or (pair and edges is not None and len(edges) > 0)):
-        refined = (yield from _by_detected(refined, noisy, edges)) or refined
+        detected = yield from _by_detected(refined, noisy, edges)
+        refined = detected if detected and _within(detected) else refined
         settled = refined.kept is not None
     problem, best = refined.problem, refined.best
     # Lengths of bones decide the lenses of two views, also where the image is far larger than the
@@ -232,7 +235,17 @@ def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) 
         if refined.kept is None:
             raise
         return refined
-    return refined if best is refined.best else refined._replace(best=best, kept=None)
+    cleared = refined._replace(best=best, kept=None)
+    return refined if best is refined.best or not _within(cleared) else cleared
+
+
+def _within(refined: _Refined) -> bool:
+    """Whether two lenses are where their posterior expects them; True without one."""
+    problem, posterior = refined.problem, refined.problem.lens_posterior
+    if posterior is None:
+        return True
+    off = np.log(refined.best.rig.lenses.focals.mean(1) / problem.side) - posterior.mean
+    return float(off @ np.linalg.solve(posterior.covariance, off)) < FAR_OFF
 
 
 def _by_clear(refined: _Refined) -> Steps[Solution]:
@@ -279,7 +292,8 @@ def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
             trial = yield from _until_steady(tried_problem, trial)
         except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
             continue
-        if trial.measured_noise <= rival.measured_noise:
+        bent = _Refined(tried_problem, trial, None, "")
+        if trial.measured_noise <= rival.measured_noise and _within(bent):
             problem, best, kept = tried_problem, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
     return _Refined(problem, best, kept, reason)
