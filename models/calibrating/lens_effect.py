@@ -74,14 +74,20 @@ def lens_findings(
     posterior = problem.lens_posterior
     peaks = () if posterior is None or len(posterior.peaks) < 2 else posterior.peaks
     views = () if unsure.all() else np.flatnonzero(unsure)
+    now, known = (np.hypot(each, effect.by_noise) for each in (effect.by_lenses, effect.by_known))
     evidence = {
         "error_by_lenses_of_height": effect.by_lenses,
         "error_by_noise_of_height": effect.by_noise,
-        "error_with_lenses_to_5_percent": float(np.hypot(effect.by_known, effect.by_noise)),
+        "error_with_lenses_to_5_percent": float(known),
     }
     for number, peak in enumerate(peaks, 1):
         evidence[f"likely_focal_{number}_in_sides"] = peak
     finding = Finding.of("lenses_limit_accuracy", views=views).with_evidence(evidence)
+    gain = (
+        f"Lenses known to 5 % would bring the expected error from about {100 * now:.2g} %"
+        f" to {100 * known:.2g} % of the subject's height."
+    )
+    finding = finding.model_copy(update={"remedy": f"{gain} {finding.remedy}"})
     return (finding,)
 
 
@@ -99,7 +105,7 @@ def lens_effect(
     middle = _structures(seen, points)
     centred = middle - np.nanmean(middle, 1, keepdims=True)
     height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
-    covariance = _focal_covariance(problem, solution, deviations)
+    covariance = _focal_covariance(problem, deviations)
     changes = []  # for a unit of each log focal length, along the axes of their covariance
     values, axes = np.linalg.eigh(covariance)
     for variance, axis in zip(values, axes.T, strict=True):
@@ -121,17 +127,17 @@ def lens_effect(
     )
 
 
-def _focal_covariance(
-    problem: CalibrationProblem, solution: Solution, deviations: Float64
-) -> Float64:
+def _focal_covariance(problem: CalibrationProblem, deviations: Float64) -> Float64:
     """Return the covariance (2, 2) of the log focal lengths.
 
-    It is that of their posterior, unless lengths of bones have narrowed it.
+    It is that of their posterior, made narrower where constant lengths have told more.
     """
-    posterior = problem.lens_posterior
-    if posterior is None or solution.with_bones:
-        return np.diag(np.square(deviations[:, FOCAL]))
-    return posterior.covariance
+    sds = deviations[:, FOCAL]
+    if problem.lens_posterior is None:
+        return np.diag(np.square(sds))
+    covariance = problem.lens_posterior.covariance
+    shares = (sds / np.sqrt(covariance.diagonal())).clip(max=1)
+    return np.asarray(covariance * np.outer(shares, shares))
 
 
 def _squared(changes: Float64, covariance: Float64) -> float:

@@ -58,6 +58,7 @@ BETTER_LENS = 10.0  # by so much the log posterior of another camera model must 
 # Squared distance of two log focal lengths from their posterior mean, in its deviations: a
 # hundredth of all distances are larger (chi-squared, two degrees of freedom).
 FAR_OFF = 9.21
+BY_BONES = 0.02  # of a log focal length: constant lengths tell two lenses no better
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
 MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that ends it
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
@@ -169,9 +170,13 @@ def calibrate_by_geometry(
     likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
     part, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(part, best) if kept is None else kept
+    by_bones = best.with_bones and len(sds) == 2
     if best.noise <= LEAST_NOISE * part.side:
         best, sds = yield from _exact(arranged, best, sds)
-    if likely.kept is not None and arranged.kept is not None:
+    if by_bones:
+        free = part.lens_sds[:, FOCAL] > 0
+        sds[free, FOCAL] = sds[free, FOCAL].clip(BY_BONES)
+    elif likely.kept is not None and arranged.kept is not None:
         # Other focal lengths, of the scan or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
     found = yield from _result(part, best, sds, reason, arranged.certain, None, misread, config)

@@ -197,7 +197,9 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "Two views determine their lenses only roughly. This makes larger errors of the structures"
         " than the noise of the keypoints does. The evidence gives the mean error that is expected"
         " from each, as a share of the subject's height (`error_by_lenses_of_height`,"
-        " `error_by_noise_of_height`).",
+        " `error_by_noise_of_height`), what lenses known to 5 % would leave"
+        " (`error_with_lenses_to_5_percent`), and several likely focal lengths if there are"
+        " (`likely_focal_1_in_sides` and so on).",
         "Give what is known of the lenses (`lenses`: of a phone's data sheet, to 5 %), or a"
         " `calibration`; give `image_sizes` that are missing, set `cameras_alike: true` if the"
         " lenses are alike, or add a third view.",

@@ -102,6 +102,7 @@ def test_lenses_known_as_from_a_data_sheet_leave_as_much_less() -> None:
     (finding,) = findings(*pair)
     told = finding.evidence["error_with_lenses_to_5_percent"]
     assert told == pytest.approx(np.hypot(unsure.by_known, unsure.by_noise))
+    assert finding.remedy.startswith("Lenses known to 5 % would bring the expected error from")
 
 
 def test_lenses_that_are_alike_err_together() -> None:
