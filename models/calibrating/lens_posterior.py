@@ -67,10 +67,17 @@ def posterior_of(walks: list[Walk]) -> LensPosterior:
     mean = weights @ places
     apart = places - mean
     covariance = (apart.T * weights) @ apart
+    likelier = int(np.argmax([each.sum() for each in shares]))
+    own = shares[likelier].ravel() / shares[likelier].sum()
+    about = ats[likelier].reshape(-1, 2) - mean
+    of_kind = (about.T * own) @ about
+    if lines[likelier].ratio_sds[0] == 0:
+        of_kind[1, 1] += lines[likelier].kind.sds[1] ** 2
     marginal = [each.sum(1) / width for each, width in zip(shares, widths, strict=True)]
     return LensPosterior(
         TO_LOGS @ mean,
         TO_LOGS @ covariance @ TO_LOGS.T + LEAST_SD**2 * np.eye(2),
+        TO_LOGS @ of_kind @ TO_LOGS.T + LEAST_SD**2 * np.eye(2),
         _peaks([line.commons for line in lines], marginal),
     )
 

@@ -64,7 +64,7 @@ def rig_prior(problem: CalibrationProblem, rig: Rig, *, given_poses: GivenPoses 
     free[unsure] = True
     if problem.lens_posterior is not None:  # which has used what is given
         lenses = np.flatnonzero(problem.lens_sds[:, FOCAL] > 0)
-        index, covariance = VIEW * lenses + FOCAL, problem.lens_posterior.covariance
+        index, covariance = VIEW * lenses + FOCAL, problem.lens_posterior.of_kind
         precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(lenses, lenses)])
         free[index] = True
     free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0

@@ -143,8 +143,11 @@ def kinds_of(problem: CalibrationProblem) -> list[Kind]:
 
 
 def pair_of(problem: CalibrationProblem, found: StaticRig) -> Pair:
-    """Take the keypoints as they were detected: errors that were removed leave correlated ones."""
-    images, _ = straight_images(problem, problem.detected)
+    """Take the keypoints of some frames; without noise, where it was removed.
+
+    Shapes of noisy keypoints are hardly learnt from so few frames.
+    """
+    images, _ = straight_images(problem, problem.keypoints)
     shared = SharedPoints.of(images, problem.weights, np.random.default_rng(0))
     seen, chosen = shared.seen([0, 1], POINTS), shared.chosen([0, 1], POINTS)
     both = np.flatnonzero((problem.weights > 0).all(1).sum(1) > 0)

@@ -47,6 +47,7 @@ class LensPosterior(NamedTuple):
 
     mean: Float64  # (2,)
     covariance: Float64  # (2, 2)
+    of_kind: Float64  # (2, 2) about the same mean, if lenses are of the likelier kind (alike, not)
     peaks: tuple[float, ...]  # common focal lengths where it has peaks, the highest first
 
 

@@ -176,8 +176,8 @@ def calibrate_by_geometry(
     if by_bones:
         free = part.lens_sds[:, FOCAL] > 0
         sds[free, FOCAL] = sds[free, FOCAL].clip(BY_BONES)
-    elif likely.kept is not None and arranged.kept is not None:
-        # Other focal lengths, of the scan or of other kinds of lens, are nearly as likely.
+    elif arranged.kept is not None and (likely.kept is not None or len(sds) == 2):
+        # Other focal lengths, of the posterior or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
     found = yield from _result(part, best, sds, reason, arranged.certain, None, misread, config)
     return found, structures_of_all(problem, best, settled.start)
@@ -250,7 +250,7 @@ def _within(refined: _Refined) -> bool:
     if posterior is None:
         return True
     off = np.log(refined.best.rig.lenses.focals.mean(1) / problem.side) - posterior.mean
-    return float(off @ np.linalg.solve(posterior.covariance, off)) < FAR_OFF
+    return float(off @ np.linalg.solve(posterior.of_kind, off)) < FAR_OFF
 
 
 def _by_clear(refined: _Refined) -> Steps[Solution]:

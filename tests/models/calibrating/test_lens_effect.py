@@ -114,7 +114,7 @@ def test_lenses_that_are_alike_err_together() -> None:
     squares = []
     for sign in (1.0, -1.0):
         covariance = UNSURE**2 * np.array([[1.0, 0.999 * sign], [0.999 * sign, 1.0]])
-        posterior = LensPosterior(mean, covariance, ())
+        posterior = LensPosterior(mean, covariance, covariance, ())
         asked = problem._replace(lens_posterior=posterior)
         squares.append(finished(lens_effect(asked, solution, alone)).by_lenses ** 2)
     assert effect(problem, solution).by_lenses ** 2 == pytest.approx(np.mean(squares), rel=0.05)

@@ -82,6 +82,22 @@ def test_ratios_that_are_free_count_by_their_curvature() -> None:
     np.testing.assert_allclose(found, covariance, atol=0.03 * covariance.max())
 
 
+def test_later_stages_move_lenses_of_the_likelier_kind_alone() -> None:
+    """Alike ones stay alike, though the deviations span unlike ones, too."""
+    same = alike((USUAL, 0.2))
+    other = Kind(0.3, np.array([USUAL, 0.0]), np.diag([0.5**2, 0.4**2]))
+    places = [each._replace(geometry=each.geometry) for each in same.places]
+    aside = [place(np.array([USUAL, ratio]), -1.0) for ratio in (-0.3, 0.3)]
+    posterior = posterior_of(
+        [same._replace(kind=same.kind._replace(share=0.7)), Walk(other, places, aside)]
+    )
+    ratios = [
+        FROM_LOGS[1] @ each @ FROM_LOGS[1] for each in (posterior.covariance, posterior.of_kind)
+    ]
+    assert np.sqrt(ratios[0]) > 0.05
+    assert np.sqrt(ratios[1]) < 0.012
+
+
 def test_shapes_move_lenses_as_far_as_their_error_allows() -> None:
     mean = posterior_of([alike((USUAL, 10.0), shapes=USUAL + 0.3)]).mean
     np.testing.assert_allclose(mean, USUAL + 0.3, atol=0.05)
