@@ -27,7 +27,7 @@ Bool = NDArray[np.bool_]
 LEAST_BLOCKS, MOST_BLOCKS, LONGEST_BLOCK = 4, 10, 10  # of frames
 COMPONENTS, FRAMES_EACH = 6, 8  # at most, and frames that determine one
 ALIGNMENTS, ROUNDS = 5, 5  # of the mean shape, and of learning shapes
-POSES_LEARNT, POSES_JUDGED = 2, 6  # Gauss-Newton steps of each frame
+STEPS_LEARNT, STEPS_JUDGED = 1, 6  # Gauss-Newton steps of each frame, in a round and when judged
 POOLED = 4.0  # frames that the mean of all keypoints' Psi is worth
 LONGEST_TURN = 0.5  # radians in a step
 FRAME_FREEDOM = 8.0  # of the multivariate t, with which a frame unlike all others counts little
@@ -139,8 +139,9 @@ def _learn(located: Located) -> _Shapes:
     shapes = _start(located)
     known = located.known.astype(np.float64)
     seen = known.sum(0)[:, None, None]  # (P, 1, 1)
+    posed = None
     for _ in range(ROUNDS):
-        posed = _posed(shapes, located, POSES_LEARNT)
+        posed = _posed(shapes, located, STEPS_LEARNT, posed)
         z, count = posed.components, posed.components.shape[1]
         spread = np.linalg.inv(posed.curvature)[:, :count, :count]
         gain = shapes.left @ posed.precisions  # (N, P, 3, 3)
@@ -204,11 +205,14 @@ def _aligned(located: Located, mean: Float64, there: Bool) -> tuple[Float64, Flo
     return rotations, centres - (rotations @ middles[..., None])[..., 0]
 
 
-def _posed(shapes: _Shapes, located: Located, steps: int) -> _Posed:
-    """Find poses and shapes of frames by Gauss-Newton steps from aligned structures."""
-    rotations, translations = _aligned(located, shapes.mean, np.ones(len(shapes.mean), bool))
+def _posed(shapes: _Shapes, located: Located, steps: int, start: _Posed | None = None) -> _Posed:
+    """Find poses and shapes of frames by Gauss-Newton steps, from aligned structures if need be."""
     frames, points, count = *located.known.shape, shapes.basis.shape[2]
-    z = np.zeros((frames, count))
+    if start is None:
+        rotations, translations = _aligned(located, shapes.mean, np.ones(points, bool))
+        z = np.zeros((frames, count))
+    else:
+        rotations, translations, z = start[:3]
     fixed = np.concatenate(
         (
             np.broadcast_to(shapes.basis, (frames, *shapes.basis.shape)),
@@ -248,7 +252,7 @@ def _crossed(vectors: Float64) -> Float64:
 
 def _log_likelihood(shapes: _Shapes, located: Located) -> Float64:
     """Return the log likelihood (N,) of frames, with poses and shapes integrated out (Laplace)."""
-    posed = _posed(shapes, located, POSES_JUDGED)
+    posed = _posed(shapes, located, STEPS_JUDGED)
     known, information = located.known, located.information
 
     def log_volumes(matrices: Float64) -> Float64:
