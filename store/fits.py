@@ -158,6 +158,7 @@ def _check(config: dict[str, Any], dataset: DatasetRecord) -> None:
             f"{len(calibration)}; write null for a view of which nothing is known",
         )
     _check_lenses(config.get("lenses"), dataset)
+    _check_distance(config.get("known_distance"), config["cameras"], dataset)
     for field, found in (
         ("known_length", known_length and known_length["keypoints"]),
         ("handedness", config.get("handedness")),
@@ -168,6 +169,24 @@ def _check(config: dict[str, Any], dataset: DatasetRecord) -> None:
                 f"{field} must name {len(found)} different keypoints below {dataset.keypoints}, "
                 f"got {list(found)}",
             )
+
+
+def _check_distance(given: dict[str, Any] | None, cameras: str, dataset: DatasetRecord) -> None:
+    """Raise ``ConfigError`` for a distance of cameras that are not there, or that move."""
+    if given is None:
+        return
+    views = given["views"]
+    if len(set(views)) < len(views) or max(views) >= dataset.views:
+        raise ConfigError(
+            "known_distance/views",
+            f"known_distance must name 2 different views below {dataset.views}, got {list(views)}",
+        )
+    if cameras == "moving":
+        raise ConfigError(
+            "known_distance",
+            "known_distance needs two cameras that are static, got `cameras: moving`: leave one of "
+            "them out, or give a known_length",
+        )
 
 
 def _check_lenses(given: list[Any] | None, dataset: DatasetRecord) -> None:

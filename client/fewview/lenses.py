@@ -44,7 +44,7 @@ def lenses_in(text: str, names: Sequence[str], option: str = "--lens") -> list[A
         name, equals, value = part.partition("=")
         if not equals:
             raise ValueError(f"{option} {part}: expected VIEW=VALUE, as there are several")
-        view = _view(name.strip(), names, option)
+        view = view_in(name.strip(), names, option)
         if lenses[view] is not None:
             raise ValueError(f"{option}: view {name} has two lenses: leave one out")
         lenses[view] = _lens(value.strip(), names, option)
@@ -53,7 +53,7 @@ def lenses_in(text: str, names: Sequence[str], option: str = "--lens") -> list[A
 
 def _lens(text: str, names: Sequence[str], option: str) -> dict[str, Any]:
     if text.startswith(SAME):
-        return {"same_as": _view(text.removeprefix(SAME), names, option)}
+        return {"same_as": view_in(text.removeprefix(SAME), names, option)}
     slack = SLACK.search(text)
     value = text[: slack.start()].strip() if slack else text
     for form, (field, axis) in FIELDS.items():
@@ -68,7 +68,14 @@ def _lens(text: str, names: Sequence[str], option: str) -> dict[str, Any]:
     raise ValueError(f"{option} {text}: expected one of {FORMS}")
 
 
-def _view(name: str, names: Sequence[str], option: str) -> int:
+def view_in(name: str, names: Sequence[str], option: str) -> int:
+    """Return the index of a view that is given by name, or by number from 0.
+
+    Raises
+    ------
+    ValueError
+        If there is no such view; the message begins with the `option` and lists those there are.
+    """
     if name in names:
         return list(names).index(name)
     if name.isdecimal() and int(name) < len(names):

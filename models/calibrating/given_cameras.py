@@ -1,4 +1,4 @@
-"""Given poses and a known length, and the findings about given values."""
+"""Given poses, a known length or distance, and the findings about given values."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.initial_poses import gather
-from models.bundle.problem import EXTRINSICS, Scene, make_rig
+from models.bundle.problem import EXTRINSICS, LENS, make_rig
 from models.calibrating.doubts import (
     GROSS,
     Checked,
@@ -25,12 +25,13 @@ from models.findings.finding import Finding
 from models.numerics.medians import lower_median
 from models.numerics.steps import Steps
 from models.optics.lenses.projection import Lenses
-from models.settings.calibration import KnownLength
+from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 MISFIT = 0.05  # of the log of a length: two units that differ by more contradict each other
+UNSURE = 3  # standard deviations of the distance of two cameras that it may be off
 WRONG_POSES = 2.5  # times the noise of moving cameras: given poses that leave more are wrong
 
 
@@ -172,16 +173,39 @@ def turned_by(rotation: Float64) -> float:
     return math.acos(min(1.0, max(-1.0, (float(rotation.trace()) - 1) / 2)))
 
 
-def unit_by_length(
-    scene: Scene, known: KnownLength, unit: float | None
-) -> tuple[float, tuple[Finding, ...]]:
-    """Return the unit from a known length, and a finding if given poses have another.
+def measured_unit(
+    found: Solution, sds: Float64, config: FitConfig, unit: float | None
+) -> tuple[float | None, tuple[Finding, ...]]:
+    """Return the unit from what was measured, and findings if the unit of given poses is another.
 
-    It is a unit of the structure in the user's unit.
+    It is a unit of the structure in the user's unit; None is unknown. A length goes before a
+    distance between cameras. The bound of what contradicts grows with what `sds` (K, 11), the
+    deviations of the cameras, leave open of that distance.
     """
-    a, b = known.ends
-    lengths = np.linalg.norm(scene.points[:, a] - scene.points[:, b], axis=-1)
-    by_length = known.length / float(lower_median(np.exp(scene.sizes[:, 0]) * lengths))
-    if unit is None or abs(math.log(by_length / unit)) <= MISFIT:
-        return by_length, ()
-    return by_length, (Finding.of("known_length_disagrees", ratio=by_length / unit),)
+    findings: tuple[Finding, ...] = ()
+    bound, distance, length = MISFIT, config.known_distance, config.known_length
+    if distance is not None:
+        pair, rig = list(distance.views), found.rig
+        centres = -np.einsum("kji,kj->ki", rig.rotations[pair], rig.translations[pair])
+        apart = float(np.linalg.norm(centres[1] - centres[0]))
+        sd = float(np.linalg.norm(sds[pair, LENS + 3 :]))
+        if rig.groups[pair[0]] != rig.groups[pair[1]] or not apart > sd:
+            findings = (Finding.of("known_distance_not_used", views=pair),)
+        else:
+            bound = max(MISFIT, UNSURE * sd / apart)
+            by_distance = distance.length / apart
+            findings = _another_unit(by_distance, unit, bound)
+            unit = by_distance
+    if length is not None:
+        a, b = length.ends
+        lengths = np.linalg.norm(found.scene.points[:, a] - found.scene.points[:, b], axis=-1)
+        by_length = length.length / float(lower_median(np.exp(found.scene.sizes[:, 0]) * lengths))
+        findings += _another_unit(by_length, unit, bound)
+        unit = by_length
+    return unit, findings
+
+
+def _another_unit(ours: float, theirs: float | None, bound: float) -> tuple[Finding, ...]:
+    if theirs is None or abs(math.log(ours / theirs)) <= bound:
+        return ()
+    return (Finding.of("known_length_disagrees", ratio=ours / theirs),)

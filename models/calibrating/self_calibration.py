@@ -22,7 +22,7 @@ from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
 from models.calibrating.geometry_first import settle_by_geometry, structures_of_all
-from models.calibrating.given_cameras import unit_by_length
+from models.calibrating.given_cameras import measured_unit
 from models.calibrating.given_order import as_meant
 from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
@@ -394,9 +394,8 @@ def _result(
     findings: tuple[Finding, ...],
     config: FitConfig,
 ) -> Steps[SelfCalibration]:
-    if config.known_length is not None:
-        unit, contradiction = unit_by_length(best.scene, config.known_length, unit)
-        findings += contradiction
+    unit, of_unit = measured_unit(best, sds, config, unit)
+    findings += of_unit
     if certain < DECIDED:
         findings += (Finding.of("handedness_not_observable", certainty=certain),)
     observed = problem.weights > 0  # (N, K, P)

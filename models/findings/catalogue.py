@@ -33,6 +33,7 @@ CameraCode = TypeAliasType(
         "calibration_disagrees",
         "calibration_read_otherwise",
         "known_length_disagrees",
+        "known_distance_not_used",
         "camera_moved",
         "focal_not_observable",
         "lenses_limit_accuracy",
@@ -174,8 +175,16 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "known_length_disagrees": Entry(
         "warning",
-        "The known length and the calibration give different units; the known length was used.",
-        "Check the length and the unit of the calibration's translations.",
+        "What was measured gives another unit than the calibration, or the known length another"
+        " than the known distance. The known length was used; without one, the known distance.",
+        "Check the length, the distance and the unit of the calibration's translations.",
+    ),
+    "known_distance_not_used": Entry(
+        "warning",
+        "The known distance gives no unit: its cameras are not static relative to each other, or"
+        " the keypoints do not determine how far apart they are.",
+        "Give a `known_length` instead, or a `known_distance` of two other cameras; if the cameras"
+        " did stand still, fit with `cameras: static`.",
     ),
     "camera_moved": Entry(
         "warning",

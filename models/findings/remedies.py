@@ -18,6 +18,7 @@ RemedyField = TypeAliasType(
         "lenses",  # of a fit
         "calibration",
         "known_length",
+        "known_distance",
         "handedness",
         "cameras",
         "cameras_alike",
@@ -36,7 +37,8 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "rig_declared_but_moving": ("cameras",),
     "calibration_disagrees": ("calibration",),
     "calibration_read_otherwise": ("calibration",),
-    "known_length_disagrees": ("known_length", "calibration"),
+    "known_length_disagrees": ("known_length", "known_distance", "calibration"),
+    "known_distance_not_used": ("known_length", "known_distance", "cameras"),
     "camera_moved": ("cameras",),
     "focal_not_observable": ("lenses", "calibration", "cameras_alike"),
     "lenses_limit_accuracy": ("lenses", "calibration", "image_sizes", "cameras_alike"),

@@ -220,3 +220,14 @@ class KnownLength(BaseModel):
         """Indices of its two ends."""
         a, b = self.keypoints
         return as_index(a), as_index(b)
+
+
+class KnownDistance(BaseModel):
+    """A distance between two cameras that was measured, from lens to lens."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    views: tuple[Annotated[int, Field(ge=0, le=63)], Annotated[int, Field(ge=0, le=63)]] = Field(
+        description="Of the two cameras, from 0."
+    )
+    length: float = Field(gt=0, le=1e6, description="In the unit that results get.")

@@ -12,7 +12,14 @@ from pydantic import (
 )
 from typing_extensions import TypeAliasType
 
-from models.settings.calibration import Alike, Camera, Keypoint, KnownLength, as_index
+from models.settings.calibration import (
+    Alike,
+    Camera,
+    Keypoint,
+    KnownDistance,
+    KnownLength,
+    as_index,
+)
 from models.settings.lenses import Lens
 from models.settings.priors import (
     ARCHITECTURE,
@@ -187,6 +194,13 @@ class FitConfig(BaseModel):
     )
     known_length: KnownLength | None = Field(
         default=None, description="A measured distance in the subject: results get its unit."
+    )
+    known_distance: KnownDistance | None = Field(
+        default=None,
+        description=(
+            "A measured distance between two cameras that are static: results get its unit, if"
+            " there is no `known_length`."
+        ),
     )
     handedness: tuple[Keypoint, Keypoint, Keypoint, Keypoint] | None = Field(
         default=None,

@@ -128,6 +128,9 @@ def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSize
     for name, given in (("image_sizes", image_sizes), ("calibration", config.calibration)):
         if given is not None and len(given) != views:
             raise ValueError(f"{name} must have one entry per view ({views}), got {len(given)}")
+    pair = config.known_distance and config.known_distance.views
+    if pair and (pair[0] == pair[1] or max(pair) >= views):
+        raise ValueError(f"known_distance must name 2 different views below {views}, got {pair}")
     if config.lenses is not None:
         known_lenses(lens_of_each_view(config.lenses, views), image_sizes or (None,) * views)
 

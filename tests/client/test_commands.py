@@ -126,6 +126,17 @@ def test_jobs_are_queued_and_cancelled(served: Served) -> None:
     assert fewview("lifts", "list", url).stdout == "no lifts\n"
 
 
+def test_a_fit_is_given_what_was_measured(served: Served) -> None:
+    measured = ["--known-length", "3,4,0.41", "--known-distance", "2,0,2.5"]
+    words = ["-c", "steps=100000", "--json", f"--url={served.live.url}"]
+    made = said(fewview("fit", served.dataset.id, *measured, *words))
+    assert made["config"]["known_length"] == {"keypoints": [3, 4], "length": 0.41}
+    assert made["config"]["known_distance"] == {"views": [2, 0], "length": 2.5}
+    served.client.fits.cancel(made["id"])
+    known = ("fit", served.dataset.id, *words, "--known-distance")
+    assert "there is no view 'cam9'" in refused(fewview(*known, "0,cam9,2"), 2)
+
+
 def test_a_fit_is_given_a_calibration_file(served: Served, tmp_path: Path) -> None:
     lens = np.array([[1100.5, 0, 640.25], [0, 1099, 512], [0, 0, 1]])
     turn = rotation_matrix([0.1, -0.2, 0.3])

@@ -61,7 +61,7 @@ def test_files_become_an_animation_cameras_and_a_model(
 ) -> None:
     size = "x".join(map(str, IMAGE_SIZE))
     words = [*files, "-o", str(tmp_path / "out"), "--json", "--image-size", size, *QUICK]
-    words += ["--fps", "50", "--formats", "trc,npz,csv", "--known-length", "k2,k9,0.5"]
+    words += ["--fps", "50", "--formats", "trc,npz,csv", "--known-distance", "cam2,1,2.5"]
     first = run(*words)
     assert first.returncode == 0, first.stderr
     answer = json.loads(first.stdout)
@@ -79,6 +79,8 @@ def test_files_become_an_animation_cameras_and_a_model(
     for view, camera in enumerate(cameras):
         apart = np.linalg.norm(camera.project(points) - capture.keypoints[:, view], axis=-1)
         assert np.nanmedian(apart) < 2
+    centres = [-camera.rotation.T @ camera.translation for camera in cameras]
+    assert np.linalg.norm(centres[2] - centres[1]) == pytest.approx(2.5)
 
     again = run(*words)
     assert json.loads(again.stdout)["model"] == answer["model"]
@@ -172,6 +174,9 @@ def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: P
         [*files, *out, "--known-length", "k0,k16,0.4"],
         [*files, *out, "--known-length", "0,16,0.4"],
         [*files, *out, "--known-length", "k0,k1"],
+        [*files, *out, "--known-distance", "cam0,cam3,2"],
+        [*files, *out, "--known-distance", "cam0,0,2"],
+        [*files, *out, "--known-distance", "cam0,cam1,-2"],
         [*files, *out, "--height", "1.7"],  # of no joints that are known
         [*files, *out, "--formats", "obj"],
         [*files, *out, "--calibration", rig],
@@ -182,6 +187,6 @@ def test_what_is_asked_wrongly_is_said_in_one_line(files: list[str], tmp_path: P
         assert refused.returncode == (1 if "--url" in words else 2)
         assert len(refused.stderr.splitlines()) == 1
         assert refused.stderr.startswith("fewview run: ")
-        if "--known-length" in words:  # before a service is started
-            assert "--known-length" in refused.stderr
+        if words[-2].startswith("--known-"):  # before a service is started
+            assert words[-2] in refused.stderr
             assert not (tmp_path / "fewview-data").exists()

@@ -53,7 +53,8 @@ class Fits(Jobs[Driver, Fit]):
         tags, metadata
             Words, and any JSON object, for finding the fit and its model.
         config
-            Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``known_length`` and more.
+            Fields of ``FitConfig`` in the API: ``steps``, ``cameras``, ``known_length``,
+            ``known_distance`` and more.
 
         Raises
         ------

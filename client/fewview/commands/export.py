@@ -65,7 +65,8 @@ def check_height(
 
         joints_of(names)
         poses = [camera for camera in config.get("calibration") or () if camera]
-        if config.get("known_length") or any(camera.get("translation") for camera in poses):
+        measured = config.get("known_length") or config.get("known_distance")
+        if measured or any(camera.get("translation") for camera in poses):
             raise ValueError("--height: the fit has a known length or poses, which are better")
 
 

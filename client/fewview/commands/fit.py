@@ -1,5 +1,7 @@
 """``fewview fit``: a dataset becomes a model."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,7 +31,10 @@ KnownLength = Annotated[
     str | None,
     typer.Option(help="`FIRST,SECOND,METRES`: two keypoints and how far they are apart."),
 ]
-
+KnownDistance = Annotated[
+    str | None,
+    typer.Option(help="`VIEW,VIEW,METRES`: two static cameras and how far they are apart."),
+]
 LensOption = Annotated[
     str | None,
     typer.Option(
@@ -52,6 +57,7 @@ def fit(
         ),
     ] = None,
     known_length: KnownLength = None,
+    known_distance: KnownDistance = None,
     lens: LensOption = None,
     calibration: CalibrationFile = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
@@ -63,13 +69,12 @@ def fit(
 ) -> None:
     """Queue a fit of a dataset; prints its id, or with --follow that of its model."""
     from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
-    from fewview.lenses import lenses_in  # noqa: PLC0415 (the same)
 
     with talking(url) as client:
         fields = config_in(config or [], known_length)
-        if lens is not None:
+        if lens is not None or known_distance is not None:
             of = client.datasets.get(dataset)
-            fields["lenses"] = lenses_in(lens, of.view_names or [f"{k}" for k in range(of.views)])
+            fields |= of_views(lens, known_distance, of.view_names, of.views)
         if calibration == Path("dataset"):
             fields["calibration"] = "dataset"
         elif calibration is not None:
@@ -105,17 +110,44 @@ def config_in(texts: list[str], known_length: str | None) -> dict[str, Any]:
     """
     config = fields_in(texts, "--config")
     if known_length is not None:
-        parts = known_length.rsplit(",", 2)
-        try:
-            first, second, metres = parts
-            length = float(metres)
-            if not length > 0:
-                raise ValueError
-        except ValueError as error:
-            raise ValueError(
-                f"--known-length {known_length}: expected FIRST,SECOND,METRES, such as "
-                "left_hip,left_knee,0.41"
-            ) from error
-        pair = [int(part) if part.isdecimal() else part for part in (first, second)]
+        form = "FIRST,SECOND,METRES, such as left_hip,left_knee,0.41"
+        *ends, length = _measured(known_length, "--known-length", form)
+        pair = [int(end) if end.isdecimal() else end for end in ends]
         config["known_length"] = {"keypoints": pair, "length": length}
     return config
+
+
+def of_views(
+    lens: str | None, known_distance: str | None, names: Sequence[str] | None, views: int
+) -> dict[str, Any]:
+    """Return the fields of the configuration that `--lens` and `--known-distance` give.
+
+    Raises
+    ------
+    ValueError
+        If one of them cannot be read, or there is no such view; the message names it.
+    """
+    from fewview.lenses import lenses_in, view_in  # noqa: PLC0415 (commands load what they need)
+
+    names = names or [f"{view}" for view in range(views)]
+    fields: dict[str, Any] = {} if lens is None else {"lenses": lenses_in(lens, names)}
+    if known_distance is not None:
+        option = "--known-distance"
+        *ends, length = _measured(known_distance, option, "VIEW,VIEW,METRES, such as cam1,cam2,2.5")
+        pair = [view_in(end.strip(), names, option) for end in ends]
+        if pair[0] == pair[1]:
+            raise ValueError(f"{option} {known_distance}: expected two different views")
+        fields["known_distance"] = {"views": pair, "length": length}
+    return fields
+
+
+def _measured(text: str, option: str, form: str) -> tuple[str, str, float]:
+    """Return two ends and how far they are apart; raise ValueError if the text is not such."""
+    try:
+        first, second, metres = text.rsplit(",", 2)
+        length = float(metres)
+        if not 0 < length < math.inf:
+            raise ValueError
+    except ValueError as error:
+        raise ValueError(f"{option} {text}: expected {form}") from error
+    return first, second, length

@@ -21,7 +21,8 @@ class Parted(NamedTuple):
 def parted(capture: Capture, fit: Fit, config: Mapping[str, Any]) -> Parted | None:
     """Return a capture with a moved camera divided into two views; None if none was moved.
 
-    The lens of a calibration is used for both views, its pose for the first.
+    What is given of the lens is used for both views; a pose, and a distance from another camera,
+    for the first.
     """
     moved = [each for each in fit.findings if each.code == "camera_moved" and len(each.views) == 1]
     if len(moved) != 1 or config.get("cameras") == "moving":
@@ -45,6 +46,9 @@ def parted(capture: Capture, fit: Fit, config: Mapping[str, Any]) -> Parted | No
     if calibration:
         lens = calibration[view] and {"intrinsics": calibration[view].get("intrinsics")}
         changed["calibration"] = [*calibration, lens]
+    lenses = config.get("lenses") or ()
+    if len(lenses) > 1:  # else it is that of all views
+        changed["lenses"] = [*lenses, lenses[view] or {"same_as": view}]
     return Parted(
         replace(
             capture,

@@ -22,7 +22,14 @@ from fewview.commands.export import (
     formats_in,
 )
 from fewview.commands.export import in_words as result_in_words
-from fewview.commands.fit import CalibrationFile, KnownLength, LensOption, config_in
+from fewview.commands.fit import (
+    CalibrationFile,
+    KnownDistance,
+    KnownLength,
+    LensOption,
+    config_in,
+    of_views,
+)
 from fewview.commands.reading import Files, Options, reading_files
 from fewview.commands.talking import FAILED, INTERRUPTED, WRONGLY_ASKED, AsJson, echo, in_short
 
@@ -46,6 +53,7 @@ def run(
     ] = None,
     formats: Formats = USUAL,
     known_length: KnownLength = None,
+    known_distance: KnownDistance = None,
     lens: LensOption = None,
     calibration: CalibrationFile = None,
     no_calibration: Annotated[
@@ -63,7 +71,6 @@ def run(
     from fewview.calibration import as_config, read_for_views, sizes_for  # noqa: PLC0415
     from fewview.commands.convert import in_words, summary  # noqa: PLC0415 (what it needs)
     from fewview.errors import FewviewError, InvalidRequest  # noqa: PLC0415
-    from fewview.lenses import lenses_in  # noqa: PLC0415
     from fewview.readers import read_with  # noqa: PLC0415
 
     try:
@@ -72,9 +79,7 @@ def run(
         fields = config_in(config or [], known_length)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
-        if lens is not None:
-            names = capture.view_names or [f"{k}" for k in range(capture.views)]
-            fields["lenses"] = lenses_in(lens, names)
+        fields |= of_views(lens, known_distance, capture.view_names, capture.views)
         beside = None if no_calibration else capture.calibration
         if calibration is not None:
             cameras, note = read_for_views(calibration, capture.view_names, capture.views)
@@ -93,7 +98,7 @@ def run(
         echo(in_words(summary(capture)))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
-        unit = unit or (None if known_length is None else "m")
+        unit = unit or ("m" if known_length or known_distance else None)
         done = _run(capture, output, url, fields, chosen, unit, height, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(in_short(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)

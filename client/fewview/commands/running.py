@@ -195,8 +195,11 @@ def _called(views: Sequence[int], capture: Capture) -> list[str]:
 
 def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit | None, list[str]]:
     """Return the unit if a given quantity that was used has it, and notes about it."""
-    config = fit.config or {}
+    config, codes = fit.config or {}, {finding.code for finding in fit.findings}
     if unit is None or height is not None or config.get("known_length"):
+        return unit, []
+    distance = config.get("known_distance")
+    if distance and codes.isdisjoint(("known_distance_not_used", "cameras_not_found")):
         return unit, []
     cameras = config.get("calibration") or ()
     posed = {v for v, camera in enumerate(cameras) if camera and camera.get("translation")}
@@ -206,6 +209,8 @@ def _unit_used(fit: Fit, unit: Unit | None, height: float | None) -> tuple[Unit 
     why = (
         "the keypoints contradict the poses of the calibration, which were not used"
         if posed
+        else "the known distance of two cameras was not used"
+        if distance
         else "the fit was given neither a length nor poses"
     )
     return None, [f"no unit: {why}"]

@@ -26,7 +26,8 @@ def write(path: Path, animation: Animation) -> None:
     if animation.unit is None:
         raise FormatError(
             "TRC names the unit of its points, and that of this animation is unknown: give the fit "
-            "a length (--known-length) or a calibration, or give unit='m' or 'mm' (--unit)"
+            "a length (--known-length), a distance of cameras (--known-distance) or a calibration, "
+            "or give unit='m' or 'mm' (--unit)"
         )
     if any(character in name for name in animation.names for character in "\t\r\n"):
         raise FormatError("names in TRC stand between tabs: they can have no tab or line break")

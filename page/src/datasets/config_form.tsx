@@ -6,6 +6,7 @@ import type { Dataset } from "../api/resources.ts";
 import { words } from "../parts/format.ts";
 import { viewNames } from "../remedies/subject.ts";
 import { LensFields, type Lens } from "../parts/lens_fields.tsx";
+import { MeasuredFields, type Measured } from "../parts/measured_fields.tsx";
 import { fieldsOf, valueOf, type Field } from "./config_fields.ts";
 
 /** What people change; the other fields are behind a fold of their own. */
@@ -21,10 +22,12 @@ export function ConfigForm({
   onChange: (config: Record<string, unknown>) => void;
 }) {
   const [texts, setTexts] = useState<Texts>({});
-  const [length, setLength] = useState({ from: "", to: "", length: "" });
+  const [length, setLength] = useState<Measured | null>(null);
+  const [distance, setDistance] = useState<Measured | null>(null);
   const [lenses, setLenses] = useState<(Lens | null)[] | null>(null);
   const [fields, setFields] = useState<Field[] | null>(null);
   const names = dataset.skeleton?.keypoint_names ?? Array.from({ length: dataset.keypoints }, (_, index) => `${index}`);
+  const cameras = viewNames(dataset);
 
   useEffect(() => {
     const config: Record<string, unknown> = {};
@@ -32,64 +35,39 @@ export function ConfigForm({
       const value = valueOf(field, texts[field.name] ?? "");
       if (value !== undefined) config[field.name] = value;
     }
-    if (length.from !== "" && length.to !== "" && length.length !== "") {
-      config.known_length = { keypoints: [Number(length.from), Number(length.to)], length: Number(length.length) };
-    }
+    if (length !== null) config.known_length = { keypoints: length.ends, length: length.length };
+    if (distance !== null) config.known_distance = { views: distance.ends, length: distance.length };
     if (lenses !== null) config.lenses = lenses;
     onChange(config);
     // eslint-disable-next-line react-hooks/exhaustive-deps -- whoever listens is another function each time
-  }, [texts, length, lenses, fields]);
+  }, [texts, length, distance, lenses, fields]);
 
   const open = async (event: Event) => {
     if (!(event.currentTarget as HTMLDetailsElement).open || fields !== null) return;
     setFields(fieldsOf(await askJson("openapi.json")));
   };
-  const choices = names.map((name, index) => (
-    <option key={index} value={index}>
-      {name}
-    </option>
-  ));
   return (
     <div class="config">
-      <fieldset class="known-length">
+      <fieldset class="measured-fields">
         <legend>
           A length that you know <small class="quiet">gives the structures a unit; may be left out</small>
         </legend>
-        from
-        <select
-          aria-label="From keypoint"
-          value={length.from}
-          onChange={(e) => setLength({ ...length, from: e.currentTarget.value })}
-        >
-          <option value="">–</option>
-          {choices}
-        </select>
-        to
-        <select
-          aria-label="To keypoint"
-          value={length.to}
-          onChange={(e) => setLength({ ...length, to: e.currentTarget.value })}
-        >
-          <option value="">–</option>
-          {choices}
-        </select>
-        is
-        <input
-          aria-label="Length, in metres for instance"
-          type="number"
-          min={0}
-          step="any"
-          placeholder="0.42"
-          value={length.length}
-          onInput={(e) => setLength({ ...length, length: e.currentTarget.value })}
-        />
-        <span class="quiet">in metres, say: it is the unit of all that comes out</span>
+        <MeasuredFields of="keypoint" names={names} onChange={setLength} />
       </fieldset>
+      {cameras.length > 1 && (
+        <fieldset class="measured-fields">
+          <legend>
+            A distance of two cameras that you know{" "}
+            <small class="quiet">gives a unit, too, if they do not move; may be left out</small>
+          </legend>
+          <MeasuredFields of="camera" names={cameras} onChange={setDistance} />
+        </fieldset>
+      )}
       <fieldset class="known-lenses">
         <legend>
           What you know of the lenses <small class="quiet">decides most for two cameras; may be left out</small>
         </legend>
-        <LensFields names={viewNames(dataset)} onChange={setLenses} />
+        <LensFields names={cameras} onChange={setLenses} />
       </fieldset>
       <details onToggle={(event) => void open(event)}>
         <summary>Advanced</summary>

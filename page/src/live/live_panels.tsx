@@ -1,7 +1,6 @@
 /** What a stream brings: the structure, the views, how fast answers come, and what was noticed. */
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import type { Model } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { FigureList } from "../parts/figure_list.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
@@ -23,7 +22,7 @@ import { LatencyCurve } from "./latency_curve.tsx";
 
 /** What is streamed, and how. */
 export interface Running {
-  config: Model["config"];
+  unit: string; // of lengths, in words
   frames: number; // that there is room for
   numbered: boolean; // whether their numbers say anything to who looks on
   posed: boolean[];
@@ -97,7 +96,7 @@ function StreamFigures({ figures, rate }: { figures: Figures; rate: number | und
 
 /** Shows what comes as long as the screen is there. */
 function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void) {
-  const { config, frames, posed } = running;
+  const { unit, frames, posed } = running;
   const [theme, setTheme] = useState(readTheme);
   const [through, setThrough] = useState<number | null>(null);
   const selection = useSelection();
@@ -127,7 +126,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const shown: Shown = {
-    ...{ config, take: feed.take, player, loop, theme, posed, version: 0, done: false },
+    ...{ unit, take: feed.take, player, loop, theme, posed, version: 0, done: false },
     ...selection,
     ...{ through, lookThrough, joined: null, editing: null },
   };

@@ -17,6 +17,7 @@ import type { Extent } from "../result/scene/parts.ts";
 import { LivePanels, type Running } from "./live_panels.tsx";
 import { OpenStreams } from "./open_streams.tsx";
 import { subjectOf, type Lifting } from "../remedies/subject.ts";
+import { unitOf } from "../result/unit.ts";
 import { startReplay, START } from "./replay.ts";
 
 const OVERVIEW = 300; // frames of the fit that say where the subject goes
@@ -163,7 +164,7 @@ async function prepared(
   const perSecond = rate ?? rateOf(file.capture).rate;
   return {
     ...{
-      config: model.config,
+      unit: unitOf(model),
       frames: file.capture.frames,
       numbered: true,
       posed,

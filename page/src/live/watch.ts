@@ -4,6 +4,7 @@ import { getCameras, getDataset, getModel, type LiftStream } from "../api/resour
 import { numbered, type Capture } from "../data/capture.ts";
 import { emptyTake, NOTHING, putDetected, putLifted, type Frame } from "../data/take.ts";
 import { sidesOf } from "../science/sides.ts";
+import { unitOf } from "../result/unit.ts";
 import { connect, type Connection, type Trouble } from "./connection.ts";
 import { noFigures, noteSecond, type Feed, type Figures, type Listener } from "./feed.ts";
 import type { Running } from "./live_panels.tsx";
@@ -30,10 +31,10 @@ export function watch(id: string, heard: Heard): () => void {
   let onFrame: ((message: ArrayBuffer) => void) | null = null;
   const begin = async (state: LiftStream, count: number) => {
     onFrame = null;
-    const { capture, posed, config } = await describe(state, count);
+    const { capture, posed, unit } = await describe(state, count);
     if (count !== views) return;
     heard.onRunning({
-      ...{ config, posed, frames: FRAMES, numbered: false },
+      ...{ unit, posed, frames: FRAMES, numbered: false },
       start(listener) {
         const { feed, put } = startFeed(capture, frameOf(state), figures, listener);
         onFrame = put;
@@ -106,7 +107,7 @@ async function describe(stream: LiftStream, views: number) {
     ...{ fps: null, times: null, hasTruth: false },
   };
   const posed = order.map((view) => cameras.views.some(({ index }) => index === view));
-  return { capture, posed, config: model.config };
+  return { capture, posed, unit: unitOf(model) };
 }
 
 /** Puts frames into a take in turn, the newest in the place of the oldest. */

@@ -23,7 +23,9 @@ const KINDS = [
 
 export function ArrangementControl() {
   const before = useSubject().fit?.config?.cameras ?? "auto";
-  return <OneOf label="Cameras" choices={ARRANGEMENTS} before={before} changeTo={(cameras) => ({ cameras })} />;
+  // The distance of cameras that move is none.
+  const changeTo = (cameras: string) => ({ cameras, ...(cameras === "moving" && { known_distance: null }) });
+  return <OneOf label="Cameras" choices={ARRANGEMENTS} before={before} changeTo={changeTo} />;
 }
 
 export function AlikeControl() {

@@ -5,7 +5,7 @@ import { Folded } from "./provider.tsx";
 import { REMEDIES } from "./registry.ts";
 import { useSubject } from "./subject.ts";
 
-const ASKED = ["known_length", "handedness"] as const;
+const ASKED = ["known_length", "known_distance", "handedness"] as const;
 
 export function KnownPanel() {
   const { lifting } = useSubject();

@@ -2,10 +2,11 @@
 
 import { useState } from "preact/hooks";
 import { percent } from "../parts/format.ts";
+import { MeasuredFields, type Measured } from "../parts/measured_fields.tsx";
 import { shareOfPositiveVolumes } from "../science/handedness.ts";
 import { ChosenJoints, complete } from "./chosen_joints.tsx";
 import { FitAgain } from "./fit_again.tsx";
-import { useSubject } from "./subject.ts";
+import { useSubject, viewNames } from "./subject.ts";
 
 export function LengthControl() {
   const before = useSubject().fit?.config?.known_length ?? null;
@@ -30,6 +31,27 @@ export function LengthControl() {
         />
       </label>
       <FitAgain change={keypoints !== null && length > 0 ? { known_length: { keypoints, length } } : null} />
+    </>
+  );
+}
+
+export function DistanceControl() {
+  const { dataset, fit } = useSubject();
+  const before = fit?.config?.known_distance ?? null;
+  const [distance, setDistance] = useState<Measured | null>(null);
+  const known_distance = distance && { views: distance.ends, length: distance.length };
+  return (
+    <>
+      <p>Of two cameras that do not move, from lens to lens. A known length of the subject goes before it.</p>
+      <div class="measured-fields">
+        <MeasuredFields
+          of="camera"
+          names={viewNames(dataset)}
+          before={before && { ends: before.views, length: before.length }}
+          onChange={setDistance}
+        />
+      </div>
+      <FitAgain change={known_distance && { known_distance }} />
     </>
   );
 }

@@ -6,7 +6,7 @@ import type { Finding } from "../api/resources.ts";
 import { AlikeControl, ArrangementControl, KnownLensesControl, LensControl } from "./cameras.tsx";
 import { RateControl, SizesControl } from "./known_later.tsx";
 import { FrameControl, RefineControl, ViewsControl } from "./lifting.tsx";
-import { HandednessControl, LengthControl } from "./measures.tsx";
+import { DistanceControl, HandednessControl, LengthControl } from "./measures.tsx";
 import { FromModelControl, MirrorControl } from "./other_captures.tsx";
 import type { Subject } from "./subject.ts";
 
@@ -30,6 +30,7 @@ export const REMEDIES: Record<RemedyField, Remedy> = {
   lenses: { words: "Give what is known of the lenses", Control: KnownLensesControl, suits: ofFit },
   calibration: { words: "Give focal lengths", Control: LensControl, suits: ofFit },
   known_length: { words: "Give a known length", Control: LengthControl, suits: ofFit },
+  known_distance: { words: "Give the distance of two cameras", Control: DistanceControl, suits: ofFit },
   handedness: { words: "Show which way round it is", Control: HandednessControl, suits: ofFit },
   from_model: {
     words: "Fit a capture from this model",

@@ -21,7 +21,7 @@ const ANIMATIONS = [
 
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take, query: room, editing } = useShow();
-  const [unit, setUnit] = useState(hasUnit(model.config) ? "m" : "");
+  const [unit, setUnit] = useState(hasUnit(model) ? "m" : "");
   const [range, setRange] = useState({ first: "", last: "" });
   const { slice, part } = sliceOf(range, take.frames);
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {

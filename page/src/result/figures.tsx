@@ -5,15 +5,14 @@ import { count, number, percent, pixels } from "../parts/format.ts";
 import { distances } from "../science/aligning.ts";
 import { pairAt } from "../science/pairs.ts";
 import { useShow } from "./show.ts";
-import { unitOf } from "./unit.ts";
 
 export function Figures() {
-  const { model, cameras, take, overlay } = useShow();
+  const { model, unit, cameras, take, overlay } = useShow();
   const rows: [string, string, string?][] = [
     ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
     ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
     ["Captured", `${count(take.views, "view")}, ${count(take.keypoints, "keypoint")}`],
-    ["Lengths", unitOf(model.config)],
+    ["Lengths", unit],
   ];
   if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
   if (overlay !== null) {

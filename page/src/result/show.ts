@@ -21,7 +21,7 @@ export interface Joined {
 
 /** Structures, whether they are stored or come just now. */
 export interface Shown extends Selection {
-  config: Model["config"];
+  unit: string; // of lengths, in words
   take: Take;
   player: Player;
   loop: Loop;

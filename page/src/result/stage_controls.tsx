@@ -5,10 +5,9 @@ import { useEffect, useState } from "preact/hooks";
 import { number } from "../parts/format.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useShown } from "./show.ts";
-import { unitOf } from "./unit.ts";
 
 export function StageControls({ stage, children }: { stage: Stage | null; children?: ComponentChildren }) {
-  const { config, take } = useShown();
+  const { unit, take } = useShown();
   const [trails, setTrails] = useState(true);
   const [following, setFollowing] = useState(false);
   useEffect(() => {
@@ -20,7 +19,7 @@ export function StageControls({ stage, children }: { stage: Stage | null; childr
   return (
     <div class="overlay bottom">
       <span class="scale quiet">
-        <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unitOf(config)}
+        <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unit}
       </span>
       <span class="buttons">
         {children}

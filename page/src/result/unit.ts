@@ -2,17 +2,24 @@
 
 import type { Model } from "../api/resources.ts";
 
-type Config = Model["config"];
+type Fitted = Pick<Model, "config" | "findings">;
 
 /** Returns what lengths are counted in. Which unit a given length has nobody states, so its name is
  * not known; without one the structure's own size is the unit. */
-export function unitOf(config: Config): string {
-  if (config.known_length) return "unit of the known length";
-  return hasUnit(config) ? "unit of the calibration" : "no unit: no length was given";
+export function unitOf(model: Fitted): string {
+  if (model.config.known_length) return "unit of the known length";
+  if (usesDistance(model)) return "unit of the known distance";
+  return hasUnit(model) ? "unit of the calibration" : "no unit: no length was given";
 }
 
-/** Returns whether lengths were given to a fit: one of the subject, or the poses of two cameras. */
-export function hasUnit(config: Config): boolean {
-  const posed = (config.calibration ?? []).filter((camera) => camera?.translation);
-  return Boolean(config.known_length) || posed.length > 1;
+/** Returns whether lengths were given to a fit: one of the subject, or of the places of two cameras. */
+export function hasUnit(model: Fitted): boolean {
+  const posed = (model.config.calibration ?? []).filter((camera) => camera?.translation);
+  return Boolean(model.config.known_length) || usesDistance(model) || posed.length > 1;
+}
+
+const USELESS = ["known_distance_not_used", "cameras_not_found"];
+
+function usesDistance({ config, findings }: Fitted): boolean {
+  return Boolean(config.known_distance) && !findings.some(({ code }) => USELESS.includes(code));
 }

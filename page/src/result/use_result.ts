@@ -18,6 +18,7 @@ import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useSelection } from "./selection.ts";
 import type { Joined, Overlay, Show } from "./show.ts";
+import { unitOf } from "./unit.ts";
 
 const WORST = 10; // frames that are marked
 const PAUSE_MS = 250; // between two drawings of what has come
@@ -69,7 +70,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
     ...{
       fit,
       model,
-      config: model.config,
+      unit: unitOf(model),
       cameras,
       take,
       file,

@@ -3,7 +3,8 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import type { Dataset, Finding, Fit } from "../../src/api/resources.ts";
+import type { Dataset, Finding, Fit, Model } from "../../src/api/resources.ts";
+import { unitOf } from "../../src/result/unit.ts";
 import { ConfigForm } from "../../src/datasets/config_form.tsx";
 import { Understood } from "../../src/datasets/understood.tsx";
 import { Failure } from "../../src/fits/failure.tsx";
@@ -61,14 +62,29 @@ test("a form for a fit hands on what was typed, and nothing that was not", async
   const schema = readFileSync(new URL("../../../docs/openapi.json", import.meta.url), "utf8");
   globalThis.fetch = () => Promise.resolve(new Response(schema));
   let config: Record<string, unknown> = {};
-  const dataset = { keypoints: 2, skeleton: { keypoint_names: ["hip", "knee"] } } as unknown as Dataset;
+  const dataset = { keypoints: 2, views: 2, skeleton: { keypoint_names: ["hip", "knee"] } } as unknown as Dataset;
   const page = await rendered(<ConfigForm dataset={dataset} onChange={(next) => (config = next)} />);
   assert.deepEqual(config, {});
   await happens(page.getByLabelText("From keypoint"), "change", "0");
   await happens(page.getByLabelText("To keypoint"), "change", "1");
   assert.deepEqual(config, {}); // a length is wanting
   await happens(page.getByLabelText(/^Length/), "input", "0.42");
-  assert.deepEqual(config, { known_length: { keypoints: [0, 1], length: 0.42 } });
+  const known_length = { keypoints: [0, 1], length: 0.42 };
+  assert.deepEqual(config, { known_length });
+  await happens(page.getByLabelText("From camera"), "change", "1");
+  await happens(page.getByLabelText("To camera"), "change", "0");
+  await happens(page.getByLabelText(/^Distance/), "input", "2.5");
+  assert.deepEqual(config, { known_length, known_distance: { views: [1, 0], length: 2.5 } });
+  await happens(page.getByLabelText(/^Distance/), "input", "");
+  assert.deepEqual(config, { known_length });
+});
+
+test("lengths have the unit of the known distance, where that was used", () => {
+  const config = { known_distance: { views: [0, 1], length: 2.5 } };
+  const unit = (...codes: string[]) =>
+    unitOf({ config, findings: codes.map((code) => ({ code })) } as unknown as Model);
+  assert.equal(unit("noise_high"), "unit of the known distance");
+  assert.match(unit("known_distance_not_used"), /^no unit/);
 });
 
 const fit = (progress: Partial<NonNullable<Fit["progress"]>> | null): Fit =>

@@ -135,6 +135,23 @@ def test_what_is_wrong_with_a_calibration_is_named(
         ({"known_length": {"keypoints": [0, 1], "length": "NaN"}}, "/config/known_length/length"),
         ({"known_length": {"keypoints": [0, 1]}}, "/config/known_length/length"),
         ({"known_length": 0.4}, "/config/known_length"),
+        (
+            {"known_distance": {"views": [0, 2], "length": 2}},
+            "/config/known_distance/views",
+        ),
+        ({"known_distance": {"views": [1, 1], "length": 2}}, "/config/known_distance/views"),
+        ({"known_distance": {"views": [0, -1], "length": 2}}, "/config/known_distance/views/1"),
+        ({"known_distance": {"views": ["a", 1], "length": 2}}, "/config/known_distance/views/0"),
+        ({"known_distance": {"views": [0], "length": 2}}, "/config/known_distance/views/1"),
+        ({"known_distance": {"views": [0, 1], "length": 0}}, "/config/known_distance/length"),
+        ({"known_distance": {"views": [0, 1], "length": -2}}, "/config/known_distance/length"),
+        ({"known_distance": {"views": [0, 1], "length": 1e7}}, "/config/known_distance/length"),
+        ({"known_distance": {"views": [0, 1], "length": "NaN"}}, "/config/known_distance/length"),
+        ({"known_distance": {"views": [0, 1]}}, "/config/known_distance/length"),
+        (
+            {"known_distance": {"views": [0, 1], "length": 2}, "cameras": "moving"},
+            "/config/known_distance",
+        ),
         ({"calibration": []}, "/config/calibration"),
         ({"calibration": [None] * 65}, "/config/calibration"),
         ({"calibration": CAMERA}, "/config/calibration"),
@@ -158,6 +175,7 @@ def test_given_cameras_are_kept(api: TestClient) -> None:
         "cameras": "static",
         "calibration": [CAMERA, None],
         "known_length": {"keypoints": [0, 1], "length": 0.4},
+        "known_distance": {"views": [1, 0], "length": 2.5},
         "handedness": [0, 1, 2, 3],
     }
     body = {"dataset_id": make_dataset(api)["id"], "config": fields}

@@ -9,14 +9,13 @@ import { number } from "../../parts/format.ts";
 import { Icon } from "../../parts/icons.tsx";
 import { Plot } from "../../parts/plot.tsx";
 import { useShow } from "../show.ts";
-import { unitOf } from "../unit.ts";
 import { curveGroups, type Curves } from "./curve_choice.ts";
 
 export function CurvePanel() {
-  const { take, config, selected } = useShow();
+  const { take, unit, selected } = useShow();
   const [chosen, setChosen] = useState("");
   const times = useMemo(() => secondsOf(take), [take]);
-  const groups = useMemo(() => curveGroups(take, selected, unitOf(config), times), [take, selected, config, times]);
+  const groups = useMemo(() => curveGroups(take, selected, unit, times), [take, selected, unit, times]);
   const curves = groups.flatMap((group) => group.curves).find(({ id }) => id === chosen);
   return (
     <>

@@ -5,18 +5,17 @@ import { nearest, type Take } from "../../data/take.ts";
 import { number } from "../../parts/format.ts";
 import { angles, lengths } from "../../science/measures.ts";
 import { useShow } from "../show.ts";
-import { unitOf } from "../unit.ts";
 
 export function Measured() {
-  const { take, player, loop, config, selected, version } = useShow();
+  const { take, player, loop, unit, selected, version } = useShow();
   const text = useRef<HTMLParagraphElement>(null);
   useEffect(
     () =>
       loop.add(() => {
         if (text.current === null) return;
-        text.current.textContent = measured(take, nearest(take, player.frame), selected, unitOf(config));
+        text.current.textContent = measured(take, nearest(take, player.frame), selected, unit);
       }),
-    [loop, player, take, config, selected, version],
+    [loop, player, take, unit, selected, version],
   );
   return <p class="measured" ref={text} />;
 }
