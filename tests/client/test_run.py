@@ -79,8 +79,9 @@ def test_files_become_an_animation_cameras_and_a_model(
     for view, camera in enumerate(cameras):
         apart = np.linalg.norm(camera.project(points) - capture.keypoints[:, view], axis=-1)
         assert np.nanmedian(apart) < 2
-    centres = [-camera.rotation.T @ camera.translation for camera in cameras]
-    assert np.linalg.norm(centres[2] - centres[1]) == pytest.approx(2.5)
+    turns = np.array([camera.rotation for camera in cameras])
+    places = -np.einsum("kji,kj->ki", turns, [camera.translation for camera in cameras])
+    assert np.linalg.norm(places[2] - places[1]) == pytest.approx(2.5)
 
     again = run(*words)
     assert json.loads(again.stdout)["model"] == answer["model"]
