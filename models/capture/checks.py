@@ -130,7 +130,7 @@ def absences(seen: Bool, frames: int) -> Iterator[Finding]:
     `ABSENCES`, are the cheapest, and the only ones that a single frame can refute.
     """
     usable = seen.sum(2) >= MIN_KEYPOINTS  # (N, K)
-    unseen = ~(seen & usable[..., None]).any((0, 1))  # (P,)
+    unseen = ~placed(seen & usable[..., None])
     if unseen.any():
         yield Finding.of("keypoint_never_seen", keypoints=np.flatnonzero(unseen))
     blind = ~usable.any(0)
@@ -141,6 +141,16 @@ def absences(seen: Bool, frames: int) -> Iterator[Finding]:
         yield Finding.of("too_few_frames", frames_shown=shown * frames)
     if paired * frames < LEAST_PAIRED and paired < LEAST_PAIRED_SHARE * shown:
         yield Finding.of("one_view", frames_with_two_views=paired * frames)
+
+
+def placed(shown: Bool) -> Bool:
+    """Return which keypoints (P,) two views show in the same frame, by `shown` (N, K, P) of views.
+
+    No other keypoint has a place in space. Where views share too few for any camera, each shows the
+    subject on its own, as a single view does, and what one shows is enough.
+    """
+    together: Bool = (shown.sum(1) > 1).any(0)
+    return together if together.sum() >= MIN_KEYPOINTS else shown.any((0, 1))
 
 
 def _frozen(

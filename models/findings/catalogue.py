@@ -66,8 +66,10 @@ class Entry(NamedTuple):
 CATALOGUE: dict[FindingCode, Entry] = {
     "keypoint_never_seen": Entry(
         "warning",
-        "No view ever shows this keypoint, so lifts have no position for it (null).",
-        "Leave the keypoint out, or look at what the detector wrote for it.",
+        "Never seen by two views in the same frame, so this keypoint has no position in lifts (null)."
+        " Where views share no keypoints at all, it was never seen by any.",
+        "Aim the cameras so that two of them show the keypoint, leave it out, or look at what the"
+        " detector wrote for it.",
     ),
     "view_never_seen": Entry(
         "warning",

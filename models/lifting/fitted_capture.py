@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
@@ -25,15 +26,18 @@ FINDINGS = TypeAdapter(tuple[Finding, ...])
 class FittedCapture(NamedTuple):
     """What a fit found in its keypoints besides the prior.
 
-    A prior has only the Q of P keypoints that some view showed. The others stay NaN in its lifts.
+    A prior has only the Q of P keypoints that have a place (`models.capture.checks.placed`). The
+    others stay NaN in its lifts.
     """
 
     views: int  # 0 if it is not known how many there were
-    known: Bool  # (P,) whether some view showed the keypoint; Q of them
+    known: Bool  # (P,) whether the keypoint has a place; Q of them
     places: Float32  # (M, 4) view, keypoint, x, y of pixels where a keypoint was frozen
     usual: Usual
     findings: tuple[Finding, ...]  # of the keypoints alone
     clocks: Clocks | None = None  # of views that were shifted in time
+    # (Q, 3) where keypoints usually lie (`models.lifting.usual_structure`); (0, 3) if not known
+    structure: Float32 = np.empty((0, 3), np.float32)
 
     @property
     def whole(self) -> bool:
@@ -81,6 +85,7 @@ class FittedCapture(NamedTuple):
             "places": json.dumps(self.places.tolist()),
             "usual": json.dumps([self.usual.misfits.tolist(), *self.usual[1:]]),
             "findings": FINDINGS.dump_json(self.findings).decode(),
+            "structure": orjson.dumps(self.structure, option=orjson.OPT_SERIALIZE_NUMPY).decode(),
         }
         if self.clocks is not None:
             about["clocks"] = json.dumps([array.tolist() for array in self.clocks])
@@ -101,6 +106,9 @@ class FittedCapture(NamedTuple):
             misfits, least, most = json.loads(about["usual"])
             usual = Usual(np.array(misfits, np.float64).reshape(-1), float(least), float(most))
             findings = FINDINGS.validate_json(about["findings"])
+            structure = np.array(json.loads(about.get("structure", "[]")), np.float32).reshape(
+                -1, 3
+            )
             clocks = None
             if "clocks" in about:
                 moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
@@ -116,10 +124,12 @@ class FittedCapture(NamedTuple):
             and bool((places[:, :2] >= 0).all() and (places[:, 1] < len(known)).all())
             and bool((places[:, 0] < views).all())
             and (clocks is None or clocks.suit(views))
+            and len(structure) in (0, keypoints)
+            and not np.isinf(structure).any()
         )
         if not consistent:
             raise WeightsError("the header contradicts itself about the keypoints")
-        return cls(views, known, places, usual, findings, clocks)
+        return cls(views, known, places, usual, findings, clocks, structure)
 
 
 def _is_usual(usual: Usual) -> bool:

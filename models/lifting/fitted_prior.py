@@ -24,6 +24,7 @@ from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following, ObservedFrames, Observer
 from models.lifting.second_looks import Lifter, lift_frames
 from models.lifting.skeleton_lengths import SkeletonLengths
+from models.lifting.usual_structure import without_unlikely
 from models.network.answers import Answers, make_answers
 from models.network.priors.registry import lay_out, parameter_shapes
 from models.network.settling import SETTLE_ALL, SettlingPolicy
@@ -171,7 +172,9 @@ class FittedPrior:
 
         Every frame is lifted on its own: unless `times` are given, neither its neighbours nor the
         order of the frames changes its answer. Structures have the handedness that the fit decided
-        on. Keypoints that no view of the fit showed are NaN, even if these frames show them.
+        on. Keypoints that have no place (`models.capture.checks.placed`) in the fit are NaN, even
+        if these frames show them. So are those that fewer than two views show of a frame and that
+        lie far from where the fit's structures have them (`models.lifting.usual_structure`).
 
         Parameters
         ----------
@@ -265,7 +268,8 @@ class FittedPrior:
             mode == "full",
         )
         answers = lift_frames(lifter, observed, before)
-        return LiftedFrames(*answers).among(self.capture.known)
+        lift = without_unlikely(LiftedFrames(*answers), self.capture.structure)
+        return lift.among(self.capture.known)
 
     def to_bytes(self) -> bytes:
         """Return the prior as safetensors bytes, its configuration in the header."""

@@ -35,7 +35,7 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     known: NDArray[np.bool_] = np.isfinite(points[..., 0])
     answered: NDArray[np.bool_] = np.any(known, axis=1)
     texts = [b"[[%b]]" % text for text in _texts(points)]
-    if not known.all():  # a keypoint that no view of the fit showed
+    if not known.all():  # a keypoint that has no place in the fit
         texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
         (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)

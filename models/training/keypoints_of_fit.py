@@ -1,7 +1,7 @@
 """Preparing the keypoints of a fit: unknown and frozen ones, outliers and noise are removed.
 
-A keypoint that no view ever shows is left out: the network, the shapes and the cameras are those of
-the other keypoints.
+A keypoint that two views never show in the same frame is left out: the network, the shapes and the
+cameras are those of the other keypoints.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.calibrating.image_sizes import ImageSizes
-from models.capture.checks import capture_findings, observed
+from models.capture.checks import capture_findings, observed, placed
 from models.capture.frozen import frozen_places
 from models.capture.noise_removal import NoiseRemoval, learn_noise_removal
 from models.capture.observations import Observations, as_observations
@@ -79,7 +79,7 @@ def observe(
     )
     detected, trust = capture.observations(pixels, confidence, None)
     observations = as_observations(detected, trust)
-    shown = np.any(observations.weights > 0, axis=(0, 1))
+    shown = placed(observations.weights > 0)
     late = [
         view
         for finding in read.findings
@@ -138,7 +138,7 @@ def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSize
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
     """Return a configuration with keypoint indices that count the known keypoints alone.
 
-    Raises ValueError if it names one twice, one that there is not, or one that no view shows.
+    Raises ValueError if it names one twice, one that there is not, or one that has no place.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
     length, corners = config.known_length, config.corners
@@ -151,8 +151,8 @@ def among_known(config: FitConfig, known: Bool) -> FitConfig:
         unseen = [keypoint for keypoint in named or () if not known[keypoint]]
         if unseen:
             raise ValueError(
-                f"{field} must name keypoints that some view shows, got {unseen[0]}, which none"
-                " does; name others, or leave it out"
+                f"{field} must name keypoints that two views show in the same frame, got"
+                f" {unseen[0]}; name others, or leave it out"
             )
     if length is not None:
         a, b = length.ends
@@ -217,7 +217,7 @@ def _suited(known: Bool, shown: Bool) -> Bool:
     new = np.flatnonzero(shown & ~known).tolist()
     if new:
         raise ValueError(
-            f"the prior to start from never saw keypoints {new}, which these views show; start"
+            f"the prior to start from has no keypoints {new}, which these views show; start"
             " without it, or leave them out (NaN)"
         )
     return known

@@ -31,6 +31,7 @@ from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames, join, weak_perspective
 from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_lengths
+from models.lifting.usual_structure import learn_usual_structure
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
@@ -69,6 +70,7 @@ class Teaching:
         self.state = TeachingState("not_sought" if config.refine == "off" else "sought")
         self.teachers: Teachers | None = None
         self.self_calibration: SelfCalibration | None = None
+        self.structure = np.empty((0, 3), np.float32)  # of a result; see `FittedCapture`
         self._network = network
         self._data = data
         self._unseen = unseen  # frames that are held out from training
@@ -141,9 +143,11 @@ class Teaching:
             return self._as_prior(None, curve)
         found = self._with_network_errors(found, step)
         frames = self._frames_of_several_views(step)
-        structures, _ = finished(
+        structures, lift = finished(
             self._learn_structures(found, frames, seed=[self._config.seed, step, 5])
         )
+        if lift is not None:
+            self.structure = learn_usual_structure(lift, found.shapes.mean)
         prior = self._as_prior(found, curve, structures=structures)
         skeleton = self._learn_lengths(prior, found)
         if skeleton is None:

@@ -106,7 +106,7 @@ class Trainer:
             When no frame has a usable view, the arrays are malformed (see `as_observations`), an
             edge does not name two keypoints, `image_sizes` or the configuration's calibration do
             not have one entry per view, or `start` has other keypoints, another prior, or other
-            sizes of it, or the configuration names a keypoint that no view shows.
+            sizes of it, or the configuration names a keypoint that has no place.
         WeightsError
             When the checkpoint is damaged, was written by another version, or was made for other
             data or another configuration.
@@ -205,10 +205,12 @@ class Trainer:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         self._learner.update_network()
         prior = self._teaching.result(self.step, self._curve)
-        capture = self._capture._replace(usual=attempt(self._teaching.usual, nothing_unusual()))
+        usual = attempt(self._teaching.usual, nothing_unusual())
+        capture = self._capture._replace(usual=usual, structure=self._teaching.structure)
         if self.config.refine != "off" and prior.cameras is None:
-            found = (*capture.findings, Finding.of("cameras_not_found"))
-            capture = capture._replace(findings=found)
+            capture = capture._replace(
+                findings=(*capture.findings, Finding.of("cameras_not_found"))
+            )
         return prior.of_capture(self.config, capture, self._outliers, self._noise_removal)
 
     def checkpoint(self) -> bytes:

@@ -123,7 +123,7 @@ def get_reconstruction(
     and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. The
     translation of a weak-perspective camera is (x, y) in pixels and NaN. `keypoints_seen` (N, P)
     counts the views that show a keypoint, 0 where it is inferred from the others; a keypoint that
-    no view of the fit shows is NaN. `outlier_probability` (N, K, P) is the probability of a
+    two views of the fit never show in the same frame is NaN. `outlier_probability` (N, K, P) is the probability of a
     keypoint to be an outlier, NaN where it was not observed or not judged; above 0.5 it was left
     out. `findings` (N,) are sums of the findings of a frame: 1 `rig_not_used`, 2
     `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
