@@ -149,8 +149,8 @@ def placed(shown: Bool) -> Bool:
     No other keypoint has a place in space. Where views share too few for any camera, each shows the
     subject on its own, as a single view does, and what one shows is enough.
     """
-    together: Bool = (shown.sum(1) > 1).any(0)
-    return together if together.sum() >= MIN_KEYPOINTS else shown.any((0, 1))
+    together: Bool = np.any(shown.sum(1) > 1, axis=0)
+    return together if together.sum() >= MIN_KEYPOINTS else np.any(shown, axis=(0, 1))
 
 
 def _frozen(

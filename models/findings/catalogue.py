@@ -66,8 +66,8 @@ class Entry(NamedTuple):
 CATALOGUE: dict[FindingCode, Entry] = {
     "keypoint_never_seen": Entry(
         "warning",
-        "Never seen by two views in the same frame, so this keypoint has no position in lifts (null)."
-        " Where views share no keypoints at all, it was never seen by any.",
+        "Never seen by two views in the same frame, so lifts have no position for it (null). In a"
+        " capture whose views share no keypoints: never seen by any view.",
         "Aim the cameras so that two of them show the keypoint, leave it out, or look at what the"
         " detector wrote for it.",
     ),

@@ -106,9 +106,7 @@ class FittedCapture(NamedTuple):
             misfits, least, most = json.loads(about["usual"])
             usual = Usual(np.array(misfits, np.float64).reshape(-1), float(least), float(most))
             findings = FINDINGS.validate_json(about["findings"])
-            structure = np.array(json.loads(about.get("structure", "[]")), np.float32).reshape(
-                -1, 3
-            )
+            structure = np.array(json.loads(about.get("structure", "[]")), np.float32)
             clocks = None
             if "clocks" in about:
                 moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
@@ -124,12 +122,12 @@ class FittedCapture(NamedTuple):
             and bool((places[:, :2] >= 0).all() and (places[:, 1] < len(known)).all())
             and bool((places[:, 0] < views).all())
             and (clocks is None or clocks.suit(views))
-            and len(structure) in (0, keypoints)
+            and structure.shape in ((0,), (0, 3), (keypoints, 3))
             and not np.isinf(structure).any()
         )
         if not consistent:
             raise WeightsError("the header contradicts itself about the keypoints")
-        return cls(views, known, places, usual, findings, clocks, structure)
+        return cls(views, known, places, usual, findings, clocks, structure.reshape(-1, 3))
 
 
 def _is_usual(usual: Usual) -> bool:

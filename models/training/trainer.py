@@ -208,9 +208,8 @@ class Trainer:
         usual = attempt(self._teaching.usual, nothing_unusual())
         capture = self._capture._replace(usual=usual, structure=self._teaching.structure)
         if self.config.refine != "off" and prior.cameras is None:
-            capture = capture._replace(
-                findings=(*capture.findings, Finding.of("cameras_not_found"))
-            )
+            found = (*capture.findings, Finding.of("cameras_not_found"))
+            capture = capture._replace(findings=found)
         return prior.of_capture(self.config, capture, self._outliers, self._noise_removal)
 
     def checkpoint(self) -> bytes:
@@ -237,8 +236,7 @@ class Trainer:
         )
         self._learner.resume(saved.weights, saved.moments)
         self._state, self._curve = saved.state, list(saved.curve)
-        self._teaching.state = saved.state.teaching
-        self._teaching.teachers = saved.teachers
+        self._teaching.state, self._teaching.teachers = saved.state.teaching, saved.teachers
         self._teaching.self_calibration = saved.self_calibration
 
     def _take_step(self) -> tuple[float, float]:

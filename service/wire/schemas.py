@@ -153,7 +153,8 @@ class LiftedFrame(BaseModel):
     reason: str | None = Field(description="Why there is no answer, if there is none.")
     points3d: list[Vector3 | None] | None = Field(
         description="The canonical structure, keypoints x (x, y, z): centred, right-handed. Null "
-        "for a keypoint that two views of the fit never showed in the same frame."
+        "for a keypoint that two views of the fit never showed in the same frame, and for one that "
+        "fewer than two views show of this frame if its answer is far from where it usually is."
     )
     keypoints_seen: list[int] | None = Field(
         description="How many views show each keypoint: 0, it is inferred from the others; 1, so "
