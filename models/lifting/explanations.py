@@ -167,13 +167,13 @@ def align_explanation_into(explanation: Explanation, mean: Float64, out: Explana
 
 @inner
 def continues(previous: Answers, n: int, usable: Bool) -> bool:
-    """Whether the frame before has all points, and a perspective camera in all usable views."""
+    """Whether all views that are usable have a perspective camera in the frame before."""
     if not len(previous.points3d):
         return False
     for k in range(len(usable)):
         if usable[k] and previous.camera_models[n, k] <= 0:
             return False
-    return bool(np.isfinite(previous.points3d[n]).all())
+    return math.isfinite(previous.points3d[n, 0, 0])
 
 
 @inner

@@ -255,6 +255,9 @@ class FittedPrior:
         before = make_answers(0, count, points)
         if previous is not None:
             known = previous.of_keypoints(self.capture.known)
+            # A frame that lacks a point has nothing to continue from, as one without an answer.
+            lacking = np.isnan(known.points3d).any((1, 2), keepdims=True)
+            known = known._replace(points3d=np.where(lacking, np.float32(np.nan), known.points3d))
             # Arrays with another memory order would make Numba compile again, which takes a minute.
             before = Answers(*map(np.ascontiguousarray, known))
         lifter = Lifter(

@@ -127,8 +127,8 @@ def get_reconstruction(
     show of a frame if its answer is far from where it usually is. `outlier_probability` (N, K, P)
     is the probability of a keypoint to be an outlier, NaN where it was not observed or not judged;
     above 0.5 it was left out. `findings` (N,) are sums of the findings of a frame: 1
-    `rig_not_used`, 2 `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`. Reconstructions that
-    older versions stored lack these three.
+    `rig_not_used`, 2 `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`.
+    Reconstructions that older versions stored lack these three.
 
     With `frame=room` all frames are in one room, and so are the cameras. Canonical translations
     have the unit of each frame's first view: if that view moves while others are static, the unit

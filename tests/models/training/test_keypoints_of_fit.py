@@ -126,7 +126,7 @@ def test_a_fit_may_start_from_one_that_knows_more_keypoints(
         assert len(list(one)) == 20
     assert resumed.result().to_bytes() == trainer.result().to_bytes()
     assert resumed.result().capture.known.all()
-    with pytest.raises(ValueError, match=rf"never saw keypoints \[{GONE}\]"):
+    with pytest.raises(ValueError, match=rf"has no keypoints \[{GONE}\]"):
         Trainer(capture.keypoints, prior.config, start=prior)
 
 
