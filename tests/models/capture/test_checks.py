@@ -47,6 +47,15 @@ def test_a_keypoint_that_no_view_shows(unharmed: Float32) -> None:
     assert only(capture_findings(keypoints, confidence), "keypoint_never_seen").keypoints == (4, 7)
 
 
+def test_a_keypoint_that_two_views_never_show_together(unharmed: Float32) -> None:
+    keypoints = unharmed.copy()
+    for frame in range(FRAMES):
+        keypoints[frame, np.arange(VIEWS) != frame % VIEWS, 4] = np.nan
+    assert only(capture_findings(keypoints), "keypoint_never_seen").keypoints == (4,)
+    keypoints[7] = unharmed[7]
+    assert capture_findings(keypoints) == ()
+
+
 def test_a_view_that_shows_nothing(unharmed: Float32) -> None:
     keypoints = unharmed.copy()
     keypoints[:, 1, 3:] = np.nan

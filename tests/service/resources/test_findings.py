@@ -33,6 +33,10 @@ def never_seen(k: Float32) -> None:
     k[:, :, 4] = np.nan
 
 
+def seen_alone(k: Float32) -> None:
+    k[:, 1:, 4] = np.nan
+
+
 def blind(k: Float32) -> None:
     k[:, 2] = np.nan
 
@@ -156,7 +160,7 @@ def test_a_fit_and_its_model_have_the_findings(
     live: Live, capture: SyntheticCapture, tmp_path: Any
 ) -> None:
     keypoints = capture.keypoints.copy()
-    never_seen(keypoints)
+    seen_alone(keypoints)
     stuck(keypoints)
     dataset = uploaded(live.http, keypoints)
     body = {"dataset_id": dataset["id"], "config": CONFIG | {"steps": 20}}
