@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.calibrating.lens_profile import SHAPE_NATS, TO_LOGS, Kind, Walk
+from models.calibrating.lens_evidence import SHAPE_NATS
+from models.calibrating.lens_profile import TO_LOGS, Kind, Walk
 from models.calibrating.problem import LensPosterior
 
 Float64 = NDArray[np.float64]

@@ -22,12 +22,6 @@ from models.calibrating.keypoint_rig import (
 from models.calibrating.lens_groups import group_covariance
 from models.calibrating.lens_prior import FOCAL_SDS
 from models.calibrating.problem import CalibrationProblem
-from models.calibrating.shape_evidence import (
-    Located,
-    alike_in_all,
-    locate,
-    shape_evidence,
-)
 from models.epipolar.pairs import Beliefs
 from models.epipolar.rig_adjustment import AdjustedRig, adjust_rig, lens_cost
 from models.epipolar.rig_search import refocused
@@ -51,12 +45,8 @@ FAR_REACH = 5.0  # where lenses are given: keypoints may contradict them
 GIVEN = 0.25  # a smaller standard deviation of the common log focal length is that of given lenses
 FINER, CLOSE = 6, 4.0  # times that places are added about the best, until these are so near (nats)
 THIN = 0.05  # a smaller standard deviation of the log ratio leaves it no freedom of its own
-ASIDE = 0.25  # of the log ratio, how far off the best one it is tried
-LIKELY = 12.0  # nats below the best: shapes are not asked about less likely places
-SAME = 0.02  # of both logarithms: places nearer than this are asked once
 UNBIASED = 8.0  # over the square of the noise, as a share of the subject: points count as no more
 VALLEY = 2.0  # nats that are no valley
-SHAPE_NATS = 30.0  # of the evidence of shapes are worth one
 EXACT = 1e-5  # standard deviation of a number that is held
 # From the two log focal lengths to the common one and the ratio, and back.
 FROM_LOGS = np.array([[0.5, 0.5], [1.0, -1.0]])
@@ -97,6 +87,14 @@ class Walk(NamedTuple):
     kind: Kind
     places: list[Place]  # by common focal length
     aside: list[Place]  # two with other ratios than the best place, where ratios are free
+
+
+class Profile(NamedTuple):
+    """Walks of each kind of lenses, and what their likelihoods assume."""
+
+    walks: list[Walk]
+    noise: float  # sides
+    worth: float  # share of the points that count
 
 
 class Pair(NamedTuple):
@@ -166,8 +164,8 @@ def pair_of(problem: CalibrationProblem, found: StaticRig) -> Pair:
     )
 
 
-def walk_lenses(pair: Pair, kinds: list[Kind]) -> Steps[list[Walk]]:
-    """Return the best cameras along the common focal length, with the evidence of shapes.
+def walk_lenses(pair: Pair, kinds: list[Kind]) -> Steps[Profile]:
+    """Return the best cameras along the common focal length, without the evidence of shapes.
 
     Raises
     ------
@@ -183,11 +181,11 @@ def walk_lenses(pair: Pair, kinds: list[Kind]) -> Steps[list[Walk]]:
         rigs.append((yield from _along(pair, kind, commons, before)))
     noise = min(float(each.noise.mean()) for walk in rigs for each in walk)
     worth = _worth(pair, rigs[0], noise)
-    places = [[_placed(pair, each, noise, worth) for each in walk] for walk in rigs]
+    places = [[placed_at(pair, each, noise, worth) for each in walk] for walk in rigs]
     worth /= max(_unevenness(each) for each in places)
     walks = []
     for kind, walk in zip(kinds, rigs, strict=True):
-        found = [_placed(pair, each, noise, worth) for each in walk]
+        found = [placed_at(pair, each, noise, worth) for each in walk]
         walks.append(Walk(kind, (yield from _finer(pair, kind, found, noise, worth)), []))
     uneven = max(_unevenness(walk.places) for walk in walks)
     walks = [
@@ -196,7 +194,7 @@ def walk_lenses(pair: Pair, kinds: list[Kind]) -> Steps[list[Walk]]:
         )
         for walk in walks
     ]
-    return (yield from _with_shapes(pair, walks, noise, worth / uneven))
+    return Profile(walks, noise, worth / uneven)
 
 
 def _along(
@@ -210,10 +208,10 @@ def _along(
 
     def attempt(place: int, near: AdjustedRig) -> None:
         try:
-            tried = _adjusted(pair, kind, commons[place], near)
+            tried = adjusted_at(pair, kind, commons[place], near)
         except np.linalg.LinAlgError:
             return
-        cost = -_placed(pair, tried, float(near.noise.mean()), 1.0).geometry
+        cost = -placed_at(pair, tried, float(near.noise.mean()), 1.0).geometry
         cost += _off(kind, tried) ** 2 / 2
         if place not in found or cost < found[place][0]:
             found[place] = cost, tried
@@ -238,7 +236,7 @@ def _off(kind: Kind, adjusted: AdjustedRig) -> float:
     return float((ratio - kind.ratio_at(common)) / kind.sds[1])
 
 
-def _adjusted(
+def adjusted_at(
     pair: Pair, kind: Kind, common: float, near: AdjustedRig, ratio: float | None = None
 ) -> AdjustedRig:
     """Adjust cameras with a common log focal length, from others; `ratio` is held, too, if given.
@@ -272,7 +270,7 @@ def _costs(pair: Pair, adjusted: AdjustedRig, noise: float) -> Float64:
     return costs_of(adjusted.rig, points, pair.seen, noises)
 
 
-def _placed(pair: Pair, adjusted: AdjustedRig, noise: float, worth: float) -> Place:
+def placed_at(pair: Pair, adjusted: AdjustedRig, noise: float, worth: float) -> Place:
     """Return a place; its points count for `worth` each."""
     rig = adjusted.rig
     held = replace(
@@ -336,78 +334,9 @@ def _finer(
             if 0 <= beside < len(places) and logs[best] - logs[beside] > CLOSE:
                 common = float(middle.at[0] + places[beside].at[0]) / 2
                 yield
-                adjusted = _adjusted(pair, kind, common, middle.cameras)
-                added.append(_placed(pair, adjusted, noise, worth))
+                adjusted = adjusted_at(pair, kind, common, middle.cameras)
+                added.append(placed_at(pair, adjusted, noise, worth))
         if not added:
             break
         places = sorted([*places, *added], key=lambda place: float(place.at[0]))
     return places
-
-
-def _with_shapes(pair: Pair, walks: list[Walk], noise: float, worth: float) -> Steps[list[Walk]]:
-    """Ask shapes about all places that are not far less likely than the best, and beside these."""
-    best = max(log_posterior(walk.kind, place) for walk in walks for place in walk.places)
-    asked = [
-        (walk.kind, place)
-        for walk in walks
-        for place in walk.places
-        if log_posterior(walk.kind, place) > best - LIKELY
-    ]
-    trials = alike_in_all([_located(pair, place, noise) for _, place in asked])
-    told: list[Place] = []
-    for (_, place), trial in zip(asked, trials, strict=True):
-        same = [each for each in told if np.abs(each.at - place.at).max() < SAME]
-        yield
-        told.append(place._replace(shapes=same[0].shapes if same else _evidence(trial)))
-    by_name = {id(place): each for (_, place), each in zip(asked, told, strict=True)}
-    walks = [
-        walk._replace(places=[by_name.get(id(place), place) for place in walk.places])
-        for walk in walks
-    ]
-    for number, walk in enumerate(walks):
-        if walk.kind.sds[1] >= THIN:
-            aside = yield from _aside(pair, walk, noise, worth, trials[0])
-            walks[number] = walk._replace(aside=aside)
-    return walks
-
-
-def _located(pair: Pair, place: Place, noise: float) -> Located:
-    return locate(place.cameras.rig, pair.images, pair.weights, noise)
-
-
-def _evidence(trial: Located) -> float:
-    try:
-        return float(np.nansum(shape_evidence(trial)))
-    except np.linalg.LinAlgError:
-        return np.nan
-
-
-def _aside(
-    pair: Pair, walk: Walk, noise: float, worth: float, alike: Located
-) -> Steps[list[Place]]:
-    """Return places of other ratios beside the best, judged on the points of `alike`."""
-
-    def value(place: Place) -> float:
-        shapes = -np.inf if np.isnan(place.shapes) else place.shapes / SHAPE_NATS
-        return log_posterior(walk.kind, place) + shapes
-
-    best = max(walk.places, key=value)
-    step = min(ASIDE, walk.kind.sds[1])
-    for _ in range(FINER):
-        aside = []
-        for signed in (-step, step):
-            yield
-            common, ratio = best.at[0], best.at[1] + signed
-            adjusted = _adjusted(pair, walk.kind, common, best.cameras, ratio)
-            aside.append(_placed(pair, adjusted, noise, worth))
-        if best.geometry - np.mean([place.geometry for place in aside]) < LIKELY:
-            break
-        step /= 2
-    if np.isnan(best.shapes):
-        return aside
-    trials = alike_in_all([alike, *(_located(pair, place, noise) for place in aside)])[1:]
-    told = []
-    for place, trial in zip(aside, trials, strict=True):
-        yield
-        told.append(place._replace(shapes=_evidence(trial)))
-    return told

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from models.bundle.problem import FOCAL
 from models.calibrating.keypoint_rig import straight_images
+from models.calibrating.lens_evidence import with_shapes
 from models.calibrating.lens_posterior import posterior_of
 from models.calibrating.lens_profile import FROM_LOGS, Pair, Walk, kinds_of, pair_of, walk_lenses
 from models.calibrating.problem import CalibrationProblem
@@ -42,7 +43,7 @@ def settle_lenses(
     if found.static.tolist() != [True, True] or not problem.lens_sds[:, FOCAL].any():
         return problem, found
     pair = pair_of(problem, found)
-    walks = yield from walk_lenses(pair, kinds_of(problem))
+    walks = yield from with_shapes(pair, (yield from walk_lenses(pair, kinds_of(problem))))
     posterior = posterior_of(walks)
     images, _ = straight_images(problem, problem.keypoints)
     shared = SharedPoints.of(images, problem.weights, np.random.default_rng(0))

@@ -5,7 +5,6 @@ The start are the network's weak-perspective answers. Everything is one maximum-
 maximisation learns the noise of the keypoints and the Gaussian shape model.
 """
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,7 +27,8 @@ from models.calibrating.handedness import DECIDED
 from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_effect import lens_findings
-from models.calibrating.lens_prior import TOO_SURE, other_lenses, rig_prior
+from models.calibrating.lens_prior import rig_prior
+from models.calibrating.likely_lenses import MOST_FRAMES, Refined, with_likely_lenses, within
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
@@ -42,25 +42,18 @@ from models.calibrating.search import Arranged, search
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
-from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 from models.settings.config import FitConfig
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-MOST_FRAMES, LEAST_FRAMES = 400, 20  # that are used
-FEW_FRAMES = 80  # on which other camera models are tried first
+LEAST_FRAMES = 20  # that are used
 OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
-BETTER_LENS = 10.0  # by so much the log posterior of another camera model must be better
-# Squared distance of two log focal lengths from their posterior mean, in its deviations: a
-# hundredth of all distances are larger (chi-squared, two degrees of freedom).
-FAR_OFF = 9.21
 BY_BONES = 0.02  # of a log focal length: constant lengths tell two lenses no better
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
-MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that ends it
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
 
 
@@ -127,7 +120,7 @@ def self_calibrate(
     """
     problem, config, misread, noisy, edges = task
     arranged = yield from search(problem, answers, config)
-    likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
+    likely = yield from with_likely_lenses(arranged, _share_left(arranged, noisy))
     problem, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(problem, best)
     if kept is not None:
@@ -167,7 +160,7 @@ def calibrate_by_geometry(
     if settled is None:
         return None
     arranged = settled.arranged
-    likely = yield from _with_likely_lenses(arranged, _share_left(arranged, noisy))
+    likely = yield from with_likely_lenses(arranged, _share_left(arranged, noisy))
     part, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(part, best) if kept is None else kept
     by_bones = best.with_bones and len(sds) == 2
@@ -207,16 +200,7 @@ def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:
     return min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
 
 
-class _Refined(NamedTuple):
-    """Cameras after all refinements."""
-
-    problem: CalibrationProblem
-    best: Solution
-    kept: Float64 | None  # as in `Arranged`
-    reason: str
-
-
-def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[_Refined]:
+def _refined(refined: Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[Refined]:
     """Use keypoints as they were detected, then bones."""
     # Geometry has used keypoints as they were detected. Two settled views have lenses from the
     # evidence of shapes: a skeleton adds information.
@@ -224,7 +208,7 @@ def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) 
     pair = settled and len(refined.best.rig.groups) == 2
     if noisy is not None and (not settled or (pair and edges is not None and len(edges) > 0)):
         detected = yield from _by_detected(refined, noisy, edges)
-        refined = detected if detected and _within(detected) else refined
+        refined = detected if detected and within(detected) else refined
         settled = refined.kept is not None
     problem, best = refined.problem, refined.best
     # Lengths of bones decide the lenses of two views, also where the image is far larger than the
@@ -241,19 +225,10 @@ def _refined(refined: _Refined, noisy: NoisyFrames | None, edges: Int64 | None) 
             raise
         return refined
     cleared = refined._replace(best=best, kept=None)
-    return refined if best is refined.best or not _within(cleared) else cleared
+    return refined if best is refined.best or not within(cleared) else cleared
 
 
-def _within(refined: _Refined) -> bool:
-    """Whether two lenses are where their posterior expects them; True without one."""
-    problem, posterior = refined.problem, refined.problem.lens_posterior
-    if posterior is None:
-        return True
-    off = np.log(refined.best.rig.lenses.focals.mean(1) / problem.side) - posterior.mean
-    return float(off @ np.linalg.solve(posterior.of_kind, off)) < FAR_OFF
-
-
-def _by_clear(refined: _Refined) -> Steps[Solution]:
+def _by_clear(refined: Refined) -> Steps[Solution]:
     """Adjust cameras and shapes to clear keypoints, and to constant lengths."""
     problem, best = refined.problem, refined.best
     if refined.kept is not None and len(refined.kept) == 2:
@@ -276,60 +251,9 @@ def _as_meant(
     return config.model_copy(update={"calibration": tuple(meant)}), findings
 
 
-def _with_likely_lenses(arranged: Arranged, share: float) -> Steps[_Refined]:
-    """Try the camera models that the lenses look like, and take the one that explains best.
-
-    Lenses of two noisy views drift as they are learnt on: then another model is not taken.
-    """
-    (problem, best, _), kept, reason = arranged.checked, arranged.kept, arranged.reason
-    if len(problem.poses) == 2:  # shapes alone distinguish their lenses
-        share /= TOO_SURE**2
-    few, every = (evenly_spread(len(problem.keypoints), most) for most in (FEW_FRAMES, MOST_FRAMES))
-    promising = BETTER_LENS / 2 * len(few) / len(every)  # half of what so many frames should show
-    for name, tried_problem, tried_start in other_lenses(problem, best):
-        found = (problem, best), (tried_problem, tried_start)
-        try:
-            if len(few) < len(every) and (yield from _gain(*found, share, few))[0] < promising:
-                continue
-            gain, rival, trial = yield from _gain(*found, share, every)
-            if gain < BETTER_LENS:
-                continue
-            trial = yield from _until_steady(tried_problem, trial)
-        except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
-            continue
-        bent = _Refined(tried_problem, trial, None, "")
-        if trial.measured_noise <= rival.measured_noise and _within(bent):
-            problem, best, kept = tried_problem, trial, None
-            reason = f"{reason}; {name} lenses explain the keypoints better"
-    return _Refined(problem, best, kept, reason)
-
-
-def _gain(
-    ours: tuple[CalibrationProblem, Solution],
-    theirs: tuple[CalibrationProblem, Solution],
-    share: float,
-    frames: Int64,
-) -> Steps[tuple[float, Solution, Solution]]:
-    """Learn two camera models from some frames; return the second's gain in log posterior, too."""
-    problem, tried = ours[0].of(frames), theirs[0].of(frames)
-    rival = yield from learn(problem, ours[1].of(frames))
-    trial = yield from learn(tried, theirs[1].of(frames))
-    gain = _log_posterior(tried, trial, share) - _log_posterior(problem, rival, share)
-    return gain, rival, trial
-
-
-def _until_steady(problem: CalibrationProblem, solution: Solution) -> Steps[Solution]:
-    """Learn until focal lengths are steady: the first start had another camera model."""
-    for _ in range(MOST_REPEATS):
-        before, solution = solution, (yield from learn(problem, solution))
-        if np.abs(np.log(solution.rig.lenses.focals / before.rig.lenses.focals)).max() < STEADY:
-            break
-    return solution
-
-
 def _by_detected(
-    refined: _Refined, noisy: NoisyFrames, edges: Int64 | None
-) -> Steps[_Refined | None]:
+    refined: Refined, noisy: NoisyFrames, edges: Int64 | None
+) -> Steps[Refined | None]:
     """Adjust static cameras to keypoints as they were detected, and everything else to them.
 
     None if detected keypoints determine no more than shapes do, or if the cameras do not explain
@@ -365,17 +289,6 @@ def _by_detected(
         return None
     reason = f"{refined.reason}; cameras are adjusted to keypoints as they were detected"
     return refined._replace(best=adjusted, kept=sds, reason=reason)
-
-
-def _log_posterior(problem: CalibrationProblem, solution: Solution, share: float) -> float:
-    """Return the log posterior of lenses, up to a constant.
-
-    Noise below its lower limit counts as no better, because no lens model is so exact. If noise was
-    removed, only the share `share` of keypoints counts as independent.
-    """
-    believed = rig_prior(problem, solution.rig, given_poses=solution.given_poses)
-    numbers = share * 2 * int((problem.weights > 0).sum())
-    return -numbers * math.log(solution.noise) - believed.cost(solution.rig) / 2
 
 
 def most_frames(views: int, keypoints: int) -> int:

@@ -53,7 +53,8 @@ def told(points: Float64, kind: Kind | None, noise: float, seed: int) -> tuple[F
     found = finished(geometry_of(problem, declared=True)).rig
     assert found is not None
     pair = pair_of(problem, found)
-    (walk,) = finished(walk_lenses(pair, kinds_of(problem) if kind is None else [kind]))
+    kinds = kinds_of(problem) if kind is None else [kind]
+    (walk,) = finished(walk_lenses(pair, kinds)).walks
     errors = np.random.default_rng(seed).normal(size=pair.images.shape)
     noisy = pair.images + noise / problem.side * errors
     trials = [
