@@ -2,9 +2,10 @@
 
 The focal lengths are moved along the axes of their covariance, with the poses adjusted and the
 points located anew. So is each coordinate of a principal point where the size of the image is not
-known. What changes beyond a similarity of each frame is the error that follows from the lens. It is
-compared with what the noise of the keypoints does to the same points, and with what would be left
-if the lenses were known as well as a data sheet has them.
+known. What changes beyond a similarity of each frame is the error that follows from the lens.
+Lengths within the subject that stay constant limit it. It is compared with what the noise of the
+keypoints does to the same points, and with what would be left if the lenses were known as well as a
+data sheet has them.
 """
 
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bundle.bone_lengths import LEAST_SCATTER, UNKNOWN, BoneLengths, find_bone_lengths
 from models.bundle.problem import CENTRE_X, CENTRE_Y, FOCAL, points_in_cameras
 from models.calibrating.keypoint_rig import LEAST_KNOWN
 from models.calibrating.problem import CalibrationProblem, Solution
@@ -32,7 +34,9 @@ Int64 = NDArray[np.int64]
 MOVED = [FOCAL, CENTRE_X, CENTRE_Y]  # numbers of a lens that are moved
 FRAMES = 40  # at most, that are examined
 ITERATIONS = 30  # of adjusting the poses
-LEAST_STEP = 0.01  # of a log focal length
+LEAST_STEP = 1e-4  # of a log focal length: less is exact
+STRAY = 0.9  # quantile of changes and scatters of lengths, beyond which they count as no larger
+STEADIEST = 1e-4  # of a log length: none is known to be steadier
 HEIGHT = 4.0  # root-mean-square radii: about the height of a person
 DATA_SHEET = 0.05  # standard deviation of the log focal length of a lens that is known
 TIMES_NOISE = 3.0  # the effect of noise, from which lenses limit the accuracy
@@ -105,47 +109,85 @@ def lens_effect(
     middle = _structures(seen, points)
     centred = middle - np.nanmean(middle, 1, keepdims=True)
     height = HEIGHT * np.nanmedian(np.sqrt(np.nanmean(np.square(centred).sum(-1), 1)))
-    covariance = _focal_covariance(problem, deviations)
-    changes = []  # for a unit of each log focal length, along the axes of their covariance
-    values, axes = np.linalg.eigh(covariance)
-    for variance, axis in zip(values, axes.T, strict=True):
-        size = max(float(np.sqrt(max(variance, 0.0))), LEAST_STEP)
-        step = np.zeros((2, 3))
-        step[:, 0] = size * axis
-        changes.append((yield from _change(seen, points, middle, step)) / size)
-    by_focals = np.tensordot(axes, np.array(changes), 1)  # (2, n, P, 3)
-    left = 0.0
-    for step in _centre_steps(problem, deviations):
-        left += _mean_length((yield from _change(seen, points, middle, step))) ** 2
-    precision = np.linalg.pinv(covariance) + np.eye(2) / DATA_SHEET**2
-    known = np.where(covariance.any(1), np.linalg.inv(precision), 0.0)
+    steps, known = _steps(problem, deviations)
+    by_steps = np.empty((len(steps), *middle.shape))  # (F, n, P, 3)
+    for place, step in enumerate(steps):
+        by_steps[place] = yield from _change(seen, points, middle, step)
+    bones = find_bone_lengths(solution.scene.points, problem.measured)
+    contradicted = _contradicted(bones._replace(measured=bones.measured[frames]), middle, by_steps)
     noisy = procrustes_by_size(_structures(seen, _disturbed(seen, points)), middle)
+    unknown = np.eye(len(steps))
     return LensEffect(
-        float(np.sqrt(_squared(by_focals, covariance) + left) / height),
-        float(np.sqrt(_squared(by_focals, known) + left) / height),
+        _mean_error(by_steps, unknown, contradicted) / height,
+        _mean_error(by_steps, known, contradicted) / height,
         _mean_length(noisy - middle) / height,
     )
+
+
+def _steps(problem: CalibrationProblem, deviations: Float64) -> tuple[list[Float64], Float64]:
+    """Return independent steps (2, 3) of log focal lengths, and of principal points in sides.
+
+    Each is a standard deviation long. Their covariance (F, F) would be the second value if the
+    focal lengths were known to `DATA_SHEET`. Images of unknown sizes have one guess of their
+    principal points, which is off for both views.
+    """
+    covariance = _focal_covariance(problem, deviations)
+    values, axes = np.linalg.eigh(covariance)
+    roots = np.sqrt(values.clip(0))
+    some = roots > LEAST_STEP
+    steps = [
+        np.outer(root * axis, [1.0, 0.0, 0.0]) for root, axis in zip(roots, axes.T, strict=True)
+    ]
+    focals = axes[:, some] * roots[some]
+    told = np.linalg.inv(np.eye(some.sum()) + focals.T @ focals / DATA_SHEET**2)
+    sds = deviations[:, MOVED] / [1.0, problem.side, problem.side]
+    sds[problem.images.known] = 0.0
+    centres = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
+    centres = [step for step in centres if step.any()]
+    known = np.eye(some.sum() + len(centres))
+    known[: some.sum(), : some.sum()] = told
+    return [step for step, used in zip(steps, some, strict=True) if used] + centres, known
 
 
 def _focal_covariance(problem: CalibrationProblem, deviations: Float64) -> Float64:
     """Return the covariance (2, 2) of the log focal lengths.
 
-    It is that of their posterior, made narrower where constant lengths have told more.
+    It is that of their posterior, if they have one.
     """
-    sds = deviations[:, FOCAL]
-    if problem.lens_posterior is None:
-        return np.diag(np.square(sds))
-    covariance = problem.lens_posterior.covariance
-    shares = (sds / np.sqrt(covariance.diagonal())).clip(max=1)
-    return np.asarray(covariance * np.outer(shares, shares))
+    posterior = problem.lens_posterior
+    if posterior is None:
+        return np.diag(np.square(deviations[:, FOCAL]))
+    return posterior.covariance
 
 
-def _squared(changes: Float64, covariance: Float64) -> float:
-    """Return the squared error that changes (2, n, P, 3) by two numbers cause, in the mean."""
-    return sum(
-        float(max(variance, 0.0)) * _mean_length(np.tensordot(axis, changes, 1)) ** 2
-        for variance, axis in zip(*_axes(covariance), strict=True)
-    )
+def _contradicted(bones: BoneLengths, middle: Float64, by_steps: Float64) -> Float64:
+    """Return the information (F, F) of lengths that stay constant on steps of the lenses.
+
+    The scatter that steps cause in them is held against the scatter that there is, as a single
+    observation: errors of lengths repeat in all frames and bones.
+    """
+    known = bones.measured & (bones.scatter < UNKNOWN)
+    if not known.any() or not len(by_steps):
+        return np.zeros((len(by_steps), len(by_steps)))
+    ends = np.nan_to_num(np.stack((middle + by_steps, middle - by_steps), 1))
+    offsets = np.array([[bones.offsets(end) for end in each] for each in ends])
+    changes = (offsets[:, 0] - offsets[:, 1])[:, known] / 2  # (F, n)
+    most = np.quantile(np.abs(changes), STRAY, axis=1, keepdims=True)
+    changes = changes.clip(-most, most)
+    scatter = np.broadcast_to(bones.scatter, known.shape)[known]
+    squared = np.square(scatter.clip(max=np.quantile(scatter, STRAY))) - LEAST_SCATTER**2
+    among = changes @ changes.T / changes.shape[1]
+    return np.asarray(among / max(float(squared.mean()), STEADIEST**2))
+
+
+def _mean_error(by_steps: Float64, covariance: Float64, contradicted: Float64) -> float:
+    """Return the mean error that steps with a covariance (F, F) cause, as lengths allow them."""
+    allowed = np.asarray(np.linalg.inv(np.linalg.inv(covariance) + contradicted), np.float64)
+    squares = [
+        variance * _mean_length(np.tensordot(axis, by_steps, 1)) ** 2
+        for variance, axis in zip(*_axes(allowed), strict=True)
+    ]
+    return float(np.sqrt(sum(squares)))
 
 
 def _axes(covariance: Float64) -> tuple[Float64, Float64]:
@@ -160,17 +202,6 @@ def _change(seen: _Seen, points: Float64, middle: Float64, step: Float64) -> Ste
         yield
         ends.append(procrustes_by_size(_structures(seen, _moved(seen, points, signed)), middle))
     return (ends[0] - ends[1]) / 2
-
-
-def _centre_steps(problem: CalibrationProblem, deviations: Float64) -> list[Float64]:
-    """Return steps (2, 3) of principal points in sides, one for each coordinate.
-
-    Images of unknown sizes have one guess of their principal points, which is off for both views.
-    """
-    sds = deviations[:, MOVED] / [1.0, problem.side, problem.side]
-    sds[problem.images.known] = 0.0
-    steps = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
-    return [step for step in steps if step.any()]
 
 
 def _seen(problem: CalibrationProblem, solution: Solution, frames: Int64) -> _Seen:

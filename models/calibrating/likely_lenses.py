@@ -61,7 +61,7 @@ def with_likely_lenses(arranged: Arranged, share: float) -> Steps[Refined]:
             gain, rival, trial = yield from _gain(*found, share, every)
             if gain < BETTER_LENS:
                 continue
-            trial = yield from _until_steady(tried_problem, trial)
+            trial = yield from until_steady(tried_problem, trial)
         except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
             continue
         bent = Refined(tried_problem, trial, None, "")
@@ -85,10 +85,13 @@ def _gain(
     return gain, rival, trial
 
 
-def _until_steady(problem: CalibrationProblem, solution: Solution) -> Steps[Solution]:
-    """Learn until focal lengths are steady: the first start had another camera model."""
+def until_steady(
+    problem: CalibrationProblem, solution: Solution, *, with_bones: bool = False
+) -> Steps[Solution]:
+    """Learn on until focal lengths are steady: the start was far off, as of another model."""
     for _ in range(MOST_REPEATS):
-        before, solution = solution, (yield from learn(problem, solution))
+        learnt = yield from learn(problem, solution, with_bones=with_bones)
+        before, solution = solution, learnt
         if np.abs(np.log(solution.rig.lenses.focals / before.rig.lenses.focals)).max() < STEADY:
             break
     return solution

@@ -28,7 +28,13 @@ from models.calibrating.image_sizes import ImageSizes, images_of
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.lens_effect import lens_findings
 from models.calibrating.lens_prior import rig_prior
-from models.calibrating.likely_lenses import MOST_FRAMES, Refined, with_likely_lenses, within
+from models.calibrating.likely_lenses import (
+    MOST_FRAMES,
+    Refined,
+    until_steady,
+    with_likely_lenses,
+    within,
+)
 from models.calibrating.problem import (
     CLEAR,
     CalibrationProblem,
@@ -52,7 +58,6 @@ LEAST_FRAMES = 20  # that are used
 OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
-BY_BONES = 0.02  # of a log focal length: constant lengths tell two lenses no better
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
 
@@ -163,13 +168,9 @@ def calibrate_by_geometry(
     likely = yield from with_likely_lenses(arranged, _share_left(arranged, noisy))
     part, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(part, best) if kept is None else kept
-    by_bones = best.with_bones and len(sds) == 2
     if best.noise <= LEAST_NOISE * part.side:
         best, sds = yield from _exact(arranged, best, sds)
-    if by_bones:
-        free = part.lens_sds[:, FOCAL] > 0
-        sds[free, FOCAL] = sds[free, FOCAL].clip(BY_BONES)
-    elif arranged.kept is not None and (likely.kept is not None or len(sds) == 2):
+    if arranged.kept is not None and (likely.kept is not None or len(sds) == 2):
         # Other focal lengths, of the posterior or of other kinds of lens, are nearly as likely.
         sds = np.maximum(sds, arranged.kept)
     found = yield from _result(part, best, sds, reason, arranged.certain, None, misread, config)
@@ -231,12 +232,15 @@ def _refined(refined: Refined, noisy: NoisyFrames | None, edges: Int64 | None) -
 def _by_clear(refined: Refined) -> Steps[Solution]:
     """Adjust cameras and shapes to clear keypoints, and to constant lengths."""
     problem, best = refined.problem, refined.best
-    if refined.kept is not None and len(refined.kept) == 2:
+    pair = refined.kept is not None and len(refined.kept) == 2
+    if pair:
         # From bones alone the six pairs of human36m end a third worse.
         best = yield from learn(problem, best)
     if find_bone_lengths(best.scene.points, problem.measured).steady:
         # With a wrong lens bones grow and shrink as they turn, even if shapes are most alike.
         best = yield from learn(problem, best, with_bones=True)
+        if pair:  # the posterior's mean may be far off what clear keypoints determine
+            best = yield from until_steady(problem, best, with_bones=True)
     return best
 
 

@@ -121,6 +121,11 @@ def test_lenses_that_are_alike_err_together() -> None:
     assert max(squares) > 1.5 * min(squares)
 
 
+def test_lengths_that_stay_constant_leave_no_such_error() -> None:
+    assert effect(*true_solution(rigid=True)).by_lenses < 0.1 * effect(*true_solution()).by_lenses
+    assert not findings(*true_solution(rigid=True))
+
+
 def test_principal_points_count_where_the_size_of_the_image_is_not_known() -> None:
     known, solution = true_solution()
     guessed = known._replace(images=known.images._replace(known=np.zeros(2, np.bool_)))
