@@ -22,8 +22,8 @@ FINE = 0.01  # of the common log focal length, or so many standard deviations of
 RATIOS = np.linspace(-3.5, 3.5, 21)  # standard deviations of the log ratio
 # Errors of the evidence of shapes, learnt on drawn motions: Student's t of common log focal length
 # and ratio, and the probability that shapes mislead.
-SHAPE_SDS = np.array([0.12, 0.3])
-SHAPE_FREEDOM, MISLEADS = 3.0, 0.05
+SHAPE_SDS = np.array([0.1, 0.3])
+SHAPE_FREEDOM, MISLEADS = 3.0, 0.02
 EVERYWHERE = 1 / (2.4 * 2.0)  # density of the two logarithms where shapes say nothing
 FAR_ASIDE = 0.3  # of the log ratio: so far shapes are believed without being asked
 LEAST_SHARE = 1e-3  # of a place among those that shapes favour
@@ -88,7 +88,8 @@ def _line(walk: Walk) -> _Line:
     kind, sd = walk.kind, walk.kind.sds
     commons = np.array([place.at[0] for place in walk.places])
     step = min(FINE, sd[0] / 20, float(np.diff(commons).min(initial=1.0)) / 2)
-    fine = np.arange(commons[0], commons[-1] + step / 2, step)
+    count = max(2, int(np.ceil((commons[-1] - commons[0]) / step)) + 1)
+    fine = np.linspace(commons[0], commons[-1], count)
     found = np.array([place.at[1] for place in walk.places])
     geometry = np.array([place.geometry for place in walk.places])
     ratios = interpolated(commons, found, fine)
@@ -137,7 +138,11 @@ def _aside(walk: Walk) -> tuple[float, float, float]:
 
 
 def _favoured(lines: list[_Line]) -> tuple[Float64, Float64]:
-    """Return the places (C, 2) that shapes favour, and their shares (C,); none if never asked."""
+    """Return the places (C, 2) that shapes favour, and their shares (C,).
+
+    There are none if shapes were never asked, or if their evidence rises to the end of a line: a
+    slope without a top is no peak.
+    """
     known = [np.isfinite(line.shapes) for line in lines]
     places = np.concatenate(
         [
@@ -148,8 +153,11 @@ def _favoured(lines: list[_Line]) -> tuple[Float64, Float64]:
     evidence = np.concatenate(
         [line.shapes[there] for line, there in zip(lines, known, strict=True)]
     )
-    if not len(evidence):
-        return places, evidence
+    ends = np.concatenate(
+        [np.isin(np.arange(len(there)), (0, len(there) - 1))[there] for there in known]
+    )
+    if not len(evidence) or ends[evidence.argmax()]:
+        return places[:0], evidence[:0]
     shares = np.exp((evidence - evidence.max()) / SHAPE_NATS)
     shares *= np.concatenate(
         [np.gradient(line.commons)[there] for line, there in zip(lines, known, strict=True)]

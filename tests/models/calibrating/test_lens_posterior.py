@@ -117,9 +117,19 @@ def test_epipolar_geometry_may_overrule_lenses_that_are_given() -> None:
     np.testing.assert_allclose(posterior.mean, USUAL + 2 * sd, atol=0.1 * sd)
 
 
+def test_shapes_without_a_peak_say_nothing() -> None:
+    """Their evidence rises to the end of the range."""
+    walk = alike((USUAL + 0.1, 0.2))
+    rising = [each._replace(shapes=100 * each.at[0]) for each in walk.places]
+    expected = posterior_of([walk])
+    found = posterior_of([walk._replace(places=rising)])
+    np.testing.assert_allclose(found.mean, expected.mean)
+    np.testing.assert_allclose(found.covariance, expected.covariance)
+
+
 def test_shapes_that_disagree_with_geometry_leave_two_peaks() -> None:
-    apart = 12 * SHAPE_SDS[0]
-    posterior = posterior_of([alike((USUAL - apart / 2, apart / 3.2), shapes=USUAL + apart / 2)])
+    apart = 14 * SHAPE_SDS[0]
+    posterior = posterior_of([alike((USUAL - apart / 2, apart / 3.6), shapes=USUAL + apart / 2)])
     assert len(posterior.peaks) == 2
     assert np.sqrt(posterior.covariance[0, 0]) > apart / 4
 
