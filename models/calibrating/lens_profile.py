@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import FOCAL
+from models.calibrating.bagging import share_of_information
 from models.calibrating.keypoint_rig import (
     FOCAL_SD,
     UNKNOWN_FOCAL_SD,
@@ -106,6 +107,7 @@ class Pair(NamedTuple):
     clusters: tuple[Int64, Int64]  # their frames and keypoints
     beliefs: Beliefs
     size: float  # sides, root-mean-square radius of the subject
+    independent: float  # share of the points whose errors are, after noise was removed
     start: AdjustedRig
 
 
@@ -160,6 +162,7 @@ def pair_of(problem: CalibrationProblem, found: StaticRig) -> Pair:
         (shared.frames[chosen], shared.keypoints[chosen]),
         lens_beliefs(problem),
         problem.size / problem.side,
+        share_of_information(problem, found.noise * problem.side),
         AdjustedRig(rig, robust_points(rig, seen, noise), noise),
     )
 
@@ -300,7 +303,7 @@ def _worth(pair: Pair, rigs: list[AdjustedRig], noise: float) -> float:
             np.square(np.bincount(labels, apart)).sum() - alone for labels in pair.clusters
         )
         effects.append(max(1.0, 1.0 + together / max(alone, EXACT)))
-    independent = 1 / float(np.mean(effects)) if effects else 1.0
+    independent = pair.independent / float(np.mean(effects)) if effects else pair.independent
     unbiased = UNBIASED / (noise / pair.size) ** 2 / pair.seen.weights.sum()
     return min(independent, float(unbiased))
 
