@@ -98,17 +98,18 @@ def test_a_fit_sees_the_corrections_that_it_was_made_with(
 def test_appended_frames_keep_corrections_and_findings_follow_them(store: Store) -> None:
     rng = np.random.default_rng(0)
     pixels = rng.uniform(0, 1000, (40, 2, 6, 2)).astype(np.float32)
-    pixels[:, 1, 4] = np.nan
     made = datasets.create(store, Capture.checked(pixels.copy()), CaptureDescription("a"))
 
     def never_seen(record: DatasetRecord) -> bool:
         return "keypoint_never_seen" in [each["code"] for each in record.findings or []]
 
     everywhere = [Correction(Place(frame, 1, 4), (5.0, 5.0)) for frame in range(40)]
-    alone = [Correction(Place(frame, 0, 4), None) for frame in range(40)]
+    by_one_view = [Correction(Place(frame, 1, 4), None) for frame in range(40)]
+    elsewhere = [Correction(Place(frame, 0, 3), (7.0, 7.0)) for frame in range(40)]
     assert not never_seen(made)
-    assert never_seen(dataset_changes.correct(store, made.id, alone))
+    assert never_seen(dataset_changes.correct(store, made.id, by_one_view))
     assert not never_seen(dataset_changes.correct(store, made.id, everywhere))
+    dataset_changes.correct(store, made.id, elsewhere)
     longer = datasets.append(store, made.id, Capture.checked(pixels.copy()), max_frames=100)
     assert (longer.frames, longer.corrections_count) == (80, 80)
     np.testing.assert_array_equal(datasets.load(store, made.id).keypoints[:40, 1, 4], 5.0)
