@@ -103,7 +103,7 @@ def test_appended_frames_keep_corrections_and_findings_follow_them(store: Store)
     def never_seen(record: DatasetRecord) -> bool:
         return "keypoint_never_seen" in [each["code"] for each in record.findings or []]
 
-    everywhere = [Correction(Place(frame, 1, 4), (5.0, 5.0)) for frame in range(40)]
+    everywhere = [Correction(Place(frame, 1, 4), (5.0 + frame, 5.0)) for frame in range(40)]
     by_one_view = [Correction(Place(frame, 1, 4), None) for frame in range(40)]
     elsewhere = [Correction(Place(frame, 0, 3), (7.0, 7.0)) for frame in range(40)]
     assert not never_seen(made)
@@ -112,7 +112,8 @@ def test_appended_frames_keep_corrections_and_findings_follow_them(store: Store)
     dataset_changes.correct(store, made.id, elsewhere)
     longer = datasets.append(store, made.id, Capture.checked(pixels.copy()), max_frames=100)
     assert (longer.frames, longer.corrections_count) == (80, 80)
-    np.testing.assert_array_equal(datasets.load(store, made.id).keypoints[:40, 1, 4], 5.0)
+    kept = datasets.load(store, made.id).keypoints[:40, 1, 4]
+    np.testing.assert_array_equal(kept[:, 0], 5.0 + np.arange(40))
 
 
 @pytest.mark.parametrize(
