@@ -108,12 +108,18 @@ def check_found(prior: FittedPrior) -> None:
 
 
 def check(lift: LiftedFrames, keypoints: Float64) -> None:
-    """Answers are finite where there are some, and there are some wherever 4 keypoints show."""
+    """Answers are finite where there are some, and two views suffice where 4 keypoints show."""
     usable = np.isfinite(keypoints).all(-1).sum(-1) >= 4
     assert [status == "ok" for status in lift.status] == usable.any(1).tolist()
     seen = (np.isfinite(keypoints).all(-1) & usable[..., None]).any((0, 1))  # (P,) not invented
     answered = np.isfinite(lift.points3d).all(-1)  # (N, P)
-    np.testing.assert_array_equal(answered, usable.any(1)[:, None] & seen)
+    asked = usable.any(1)[:, None] & seen
+    assert not (answered & ~asked).any()
+    # A keypoint that fewer than two views show has no answer where shapes put it far off.
+    missing = asked & ~answered
+    twice = (np.isfinite(keypoints).all(-1) & usable[..., None]).sum(1) > 1
+    assert not (missing & twice).any()
+    assert missing.sum() <= 0.02 * asked.sum()
     np.testing.assert_array_equal(lift.camera_models >= 0, usable)
     refined = lift.camera_models > 0
     for values, there in (
