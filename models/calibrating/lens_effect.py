@@ -139,13 +139,13 @@ def _steps(problem: CalibrationProblem, deviations: Float64) -> tuple[list[Float
         np.outer(root * axis, [1.0, 0.0, 0.0]) for root, axis in zip(roots, axes.T, strict=True)
     ]
     focals = axes[:, some] * roots[some]
-    told = np.linalg.inv(np.eye(some.sum()) + focals.T @ focals / DATA_SHEET**2)
+    narrowed = np.linalg.inv(np.eye(some.sum()) + focals.T @ focals / DATA_SHEET**2)
     sds = deviations[:, MOVED] / [1.0, problem.side, problem.side]
     sds[problem.images.known] = 0.0
     centres = [np.where(np.arange(3) == axis, sds, 0.0) for axis in (1, 2)]
     centres = [step for step in centres if step.any()]
     known = np.eye(some.sum() + len(centres))
-    known[: some.sum(), : some.sum()] = told
+    known[: some.sum(), : some.sum()] = narrowed
     return [step for step, used in zip(steps, some, strict=True) if used] + centres, known
 
 

@@ -33,12 +33,12 @@ def with_shapes(pair: Pair, profile: Profile) -> Steps[list[Walk]]:
         if log_posterior(walk.kind, place) > best - LIKELY
     ]
     trials = alike_in_all([_located(pair, place, noise) for _, place in asked])
-    told: list[Place] = []
+    judged: list[Place] = []
     for (_, place), trial in zip(asked, trials, strict=True):
-        same = [each for each in told if np.abs(each.at - place.at).max() < SAME]
+        same = [each for each in judged if np.abs(each.at - place.at).max() < SAME]
         yield
-        told.append(place._replace(shapes=same[0].shapes if same else _evidence(trial)))
-    by_name = {id(place): each for (_, place), each in zip(asked, told, strict=True)}
+        judged.append(place._replace(shapes=same[0].shapes if same else _evidence(trial)))
+    by_name = {id(place): each for (_, place), each in zip(asked, judged, strict=True)}
     walks = [
         walk._replace(places=[by_name.get(id(place), place) for place in walk.places])
         for walk in walks
@@ -83,8 +83,8 @@ def _aside(pair: Pair, walk: Walk, profile: Profile, alike: Located) -> Steps[li
     if np.isnan(best.shapes):
         return aside
     trials = alike_in_all([alike, *(_located(pair, place, profile.noise) for place in aside)])[1:]
-    told = []
+    judged = []
     for place, trial in zip(aside, trials, strict=True):
         yield
-        told.append(place._replace(shapes=_evidence(trial)))
-    return told
+        judged.append(place._replace(shapes=_evidence(trial)))
+    return judged

@@ -4,7 +4,7 @@ Three parts count for what each is worth (`models.calibrating.lens_profile`): th
 keypoints under epipolar geometry; a prior of lenses, with those that were given as data; and the
 evidence of shapes. Shapes bend in more ways than models of them do, so their evidence is off by far
 more than it says: it counts as one observation whose error has heavy tails, and with some
-probability shapes mislead and say nothing.
+probability shapes mislead and count for nothing.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ RATIOS = np.linspace(-3.5, 3.5, 21)  # standard deviations of the log ratio
 # and ratio, and the probability that shapes mislead.
 SHAPE_SDS = np.array([0.1, 0.3])
 SHAPE_FREEDOM, MISLEADS = 3.0, 0.02
-EVERYWHERE = 1 / (2.4 * 2.0)  # density of the two logarithms where shapes say nothing
+EVERYWHERE = 1 / (2.4 * 2.0)  # density of the two logarithms where shapes are not informative
 FAR_ASIDE = 0.3  # of the log ratio: so far shapes are believed without being asked
 LEAST_SHARE = 1e-3  # of a place among those that shapes favour
 LEAST_SD = 0.002  # of a log focal length: lens models are no more exact
@@ -104,8 +104,8 @@ def _line(walk: Walk) -> _Line:
     shapes, steps = np.full(len(fine), np.nan), 0.0
     if asked.sum() > 1:
         inside = (fine >= commons[asked][0]) & (fine <= commons[asked][-1])
-        told = np.array([place.shapes for place in walk.places])[asked]
-        shapes[inside] = interpolated(commons[asked], told, fine[inside])
+        evidence = np.array([place.shapes for place in walk.places])[asked]
+        shapes[inside] = interpolated(commons[asked], evidence, fine[inside])
         # Geometry holds the ratio where it knows it.
         held = bend + SHAPE_NATS / ratio_sd**2 if free else np.inf
         steps = float(np.clip(slope / max(held, 1e-9), -FAR_ASIDE, FAR_ASIDE))

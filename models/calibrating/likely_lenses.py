@@ -25,7 +25,7 @@ MOST_REPEATS, STEADY = 5, 0.01  # of learning; change of a log focal length that
 FAR_OFF = 9.21
 
 
-class Refined(NamedTuple):
+class RefinedCameras(NamedTuple):
     """Cameras after all refinements."""
 
     problem: CalibrationProblem
@@ -34,7 +34,7 @@ class Refined(NamedTuple):
     reason: str
 
 
-def within(refined: Refined) -> bool:
+def within(refined: RefinedCameras) -> bool:
     """Whether two lenses are where their posterior expects them; True without one."""
     problem, posterior = refined.problem, refined.problem.lens_posterior
     if posterior is None:
@@ -43,7 +43,7 @@ def within(refined: Refined) -> bool:
     return float(off @ np.linalg.solve(posterior.of_kind, off)) < FAR_OFF
 
 
-def with_likely_lenses(arranged: Arranged, share: float) -> Steps[Refined]:
+def with_likely_lenses(arranged: Arranged, share: float) -> Steps[RefinedCameras]:
     """Try the camera models that the lenses look like, and take the one that explains best.
 
     Lenses of two noisy views drift as they are learnt on: then another model is not taken.
@@ -64,11 +64,11 @@ def with_likely_lenses(arranged: Arranged, share: float) -> Steps[Refined]:
             trial = yield from until_steady(tried_problem, trial)
         except np.linalg.LinAlgError:  # the keypoints do not determine such lenses
             continue
-        bent = Refined(tried_problem, trial, None, "")
+        bent = RefinedCameras(tried_problem, trial, None, "")
         if trial.measured_noise <= rival.measured_noise and within(bent):
             problem, best, kept = tried_problem, trial, None
             reason = f"{reason}; {name} lenses explain the keypoints better"
-    return Refined(problem, best, kept, reason)
+    return RefinedCameras(problem, best, kept, reason)
 
 
 def _gain(

@@ -30,7 +30,7 @@ from models.calibrating.lens_effect import lens_findings
 from models.calibrating.lens_prior import rig_prior
 from models.calibrating.likely_lenses import (
     MOST_FRAMES,
-    Refined,
+    RefinedCameras,
     until_steady,
     with_likely_lenses,
     within,
@@ -201,7 +201,9 @@ def _share_left(arranged: Arranged, noisy: NoisyFrames | None) -> float:
     return min(1.0, arranged.checked.solution.noise / noisy.noise) ** 2
 
 
-def _refined(refined: Refined, noisy: NoisyFrames | None, edges: Int64 | None) -> Steps[Refined]:
+def _refined(
+    refined: RefinedCameras, noisy: NoisyFrames | None, edges: Int64 | None
+) -> Steps[RefinedCameras]:
     """Use keypoints as they were detected, then bones."""
     # Geometry has used keypoints as they were detected. Two settled views have lenses from the
     # evidence of shapes: a skeleton adds information.
@@ -229,7 +231,7 @@ def _refined(refined: Refined, noisy: NoisyFrames | None, edges: Int64 | None) -
     return refined if best is refined.best or not within(cleared) else cleared
 
 
-def _by_clear(refined: Refined) -> Steps[Solution]:
+def _by_clear(refined: RefinedCameras) -> Steps[Solution]:
     """Adjust cameras and shapes to clear keypoints, and to constant lengths."""
     problem, best = refined.problem, refined.best
     pair = refined.kept is not None and len(refined.kept) == 2
@@ -256,8 +258,8 @@ def _as_meant(
 
 
 def _by_detected(
-    refined: Refined, noisy: NoisyFrames, edges: Int64 | None
-) -> Steps[Refined | None]:
+    refined: RefinedCameras, noisy: NoisyFrames, edges: Int64 | None
+) -> Steps[RefinedCameras | None]:
     """Adjust static cameras to keypoints as they were detected, and everything else to them.
 
     None if detected keypoints determine no more than shapes do, or if the cameras do not explain

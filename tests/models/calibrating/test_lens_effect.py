@@ -100,8 +100,8 @@ def test_lenses_known_as_from_a_data_sheet_leave_as_much_less() -> None:
     left = 1 / np.sqrt(1 / UNSURE**2 + 1 / 0.05**2)
     assert unsure.by_known == pytest.approx(left / UNSURE * unsure.by_lenses, rel=0.02)
     (finding,) = findings(*pair)
-    told = finding.evidence["error_with_lenses_to_5_percent"]
-    assert told == pytest.approx(np.hypot(unsure.by_known, unsure.by_noise))
+    expected = finding.evidence["error_with_lenses_to_5_percent"]
+    assert expected == pytest.approx(np.hypot(unsure.by_known, unsure.by_noise))
     assert finding.remedy.startswith("Lenses known to 5 % would bring the expected error from")
 
 

@@ -42,8 +42,8 @@ def alike(
     places = []
     for common in USUAL + np.linspace(-2.4, 2.4, 41) * sds[0]:
         log = -(((common - geometry[0]) / geometry[1]) ** 2) / 2
-        told = NOT_ASKED if shapes is None else -(((common - shapes) / 0.01) ** 2) / 2
-        places.append(place(np.array([common, 0.0]), log, told))
+        only = NOT_ASKED if shapes is None else -(((common - shapes) / 0.01) ** 2) / 2
+        places.append(place(np.array([common, 0.0]), log, only))
     return Walk(kind, places, [])
 
 
@@ -117,7 +117,7 @@ def test_epipolar_geometry_may_overrule_lenses_that_are_given() -> None:
     np.testing.assert_allclose(posterior.mean, USUAL + 2 * sd, atol=0.1 * sd)
 
 
-def test_shapes_without_a_peak_say_nothing() -> None:
+def test_shapes_without_a_peak_are_not_informative() -> None:
     """Their evidence rises to the end of the range."""
     walk = alike((USUAL + 0.1, 0.2))
     rising = [each._replace(shapes=100 * each.at[0]) for each in walk.places]
@@ -167,10 +167,10 @@ def test_lenses_are_of_one_kind_or_of_two() -> None:
     assert same.share + other.share == pytest.approx(1)
     assert same.sds[1] < 0.02 < other.sds[1]
     np.testing.assert_allclose([same.mean, other.mean], [[USUAL, 0.0]] * 2, atol=1e-9)
-    (told,) = kinds_of(asked(cameras_alike=True))
-    assert told.sds[1] < 0.02
-    (told,) = kinds_of(asked(cameras_alike=False))
-    assert told.sds[1] > 0.02
+    (only,) = kinds_of(asked(cameras_alike=True))
+    assert only.sds[1] < 0.02
+    (only,) = kinds_of(asked(cameras_alike=False))
+    assert only.sds[1] > 0.02
 
 
 def test_given_lenses_are_data_with_their_deviation() -> None:

@@ -40,7 +40,9 @@ def turned(points: Float64, rng: np.random.Generator) -> Float64:
     return np.asarray(points @ turns.mT + 0.4 * rng.normal(size=(1, 1, 3)))
 
 
-def told(points: Float64, kind: Kind | None, noise: float, seed: int) -> tuple[Float64, Float64]:
+def evidence_along(
+    points: Float64, kind: Kind | None, noise: float, seed: int
+) -> tuple[Float64, Float64]:
     """Return common log focal lengths, and the evidence of noisy keypoints there.
 
     Cameras are adjusted to keypoints without noise, so that shapes alone err. Without a `kind` of
@@ -68,7 +70,7 @@ def told(points: Float64, kind: Kind | None, noise: float, seed: int) -> tuple[F
 @pytest.mark.parametrize("seed", range(3))
 def test_of_a_linear_shape_model_it_has_one_peak_without_steps(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    commons, evidence = told(turned(linear_shapes(rng), rng), None, 2.0, seed)
+    commons, evidence = evidence_along(turned(linear_shapes(rng), rng), None, 2.0, seed)
     top = int(evidence.argmax())
     assert (np.diff(evidence)[:top] > 0).all()
     assert (np.diff(evidence)[top:] < 0).all()
@@ -80,7 +82,7 @@ def test_of_a_linear_shape_model_it_peaks_at_the_truth(seed: int) -> None:
     """Within three of its own standard deviations, as curvature gives them."""
     rng = np.random.default_rng(seed)
     kind = Kind(1.0, np.array([TRUTH + 0.02, 0.0]), np.diag([0.02**2, 0.01**2]))
-    commons, evidence = told(turned(linear_shapes(rng), rng), kind, 2.0, seed)
+    commons, evidence = evidence_along(turned(linear_shapes(rng), rng), kind, 2.0, seed)
     bend, slope, _ = np.polyfit(commons - TRUTH, evidence, 2)
     assert bend < 0
     assert abs(slope / (2 * bend)) < 3 / np.sqrt(-2 * bend)
@@ -93,7 +95,7 @@ def located(points: Float64, stretch: Float64, noise: float) -> Located:
     return Located(points @ stretch.T, information.copy())
 
 
-def test_a_subject_that_never_turns_says_nothing_of_a_stretched_room() -> None:
+def test_a_subject_that_never_turns_has_no_evidence_of_a_stretched_room() -> None:
     """Wrong lenses of distant cameras stretch the room; only turning shows that."""
     rng = np.random.default_rng(0)
     still = linear_shapes(rng) + 0.02 * rng.normal(size=(FRAMES, KEYPOINTS, 3))
