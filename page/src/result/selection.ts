@@ -1,6 +1,6 @@
 /** Which keypoints are selected: a few, in the order in which they were chosen. */
 
-import { useCallback, useEffect, useState } from "preact/hooks";
+import { useCallback, useLayoutEffect, useState } from "preact/hooks";
 
 const MOST = 3; // what an angle takes
 
@@ -30,7 +30,7 @@ export function afterClick(
  * @param most keypoints that are selected at a time */
 export function useSelection(most = MOST): Selection {
   const [selected, setSelected] = useState<readonly number[]>([]);
-  useEffect(() => {
+  useLayoutEffect(() => {
     const clear = (event: KeyboardEvent) => {
       if (event.key === "Escape") setSelected((before) => (before.length === 0 ? before : []));
     };

@@ -1,6 +1,6 @@
 /** All that the parts of the result screen share: what follows from a result, and what is chosen. */
 
-import { useCallback, useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useCallback, useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import { rateOf } from "../data/capture.ts";
 import type { Result } from "../data/loading.ts";
@@ -57,7 +57,8 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
   useEffect(() => () => loop.close(), [loop]);
   useEffect(() => loop.wake(), [loop, version]);
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
-  useEffect(
+  // Before what they act on is seen: an early key would be lost.
+  useLayoutEffect(
     () => listenToKeys({ player, worst, views: take.views, stage: () => stageNow.current, lookThrough }),
     [player, worst, take, lookThrough],
   );

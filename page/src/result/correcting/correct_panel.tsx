@@ -1,6 +1,6 @@
 /** Correcting keypoints: the worst frames, what is selected in one of them, and fitting again. */
 
-import { useEffect } from "preact/hooks";
+import { useLayoutEffect } from "preact/hooks";
 import { Alert } from "../../parts/alert.tsx";
 import { count, number } from "../../parts/format.ts";
 import { Icon } from "../../parts/icons.tsx";
@@ -129,7 +129,7 @@ function Again() {
 /** Listens to the keys that correct. */
 function useEditingKeys(undo: () => void, go: (frame: number) => void): void {
   const { editing, selected, player, worst } = useShow();
-  useEffect(() => {
+  useLayoutEffect(() => {
     if (!editing.on) return undefined;
     const listen = (event: KeyboardEvent) => {
       const undoes = (event.ctrlKey || event.metaKey) && !event.shiftKey && event.key.toLowerCase() === "z";
