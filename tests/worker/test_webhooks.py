@@ -353,6 +353,7 @@ def test_a_host_that_never_answers_keeps_only_its_own_messages_waiting(
         delivering = threading.Thread(target=deliver, args=[settings])
         delivering.start()
         ending.callback(delivering.join)
+        ending.callback(silent.answering.set)  # first of all, or joining waits for every attempt
         wait_for(lambda: len(receiver.got) == 2, "the messages that can arrive", 10)
         wait_for(lambda: len(silent.got) >= webhooks.OF_HOST, "those that nobody answers", 10)
         assert len(silent.got) == webhooks.OF_HOST
