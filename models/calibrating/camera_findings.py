@@ -7,6 +7,7 @@ import numpy as np
 
 from models.bundle.problem import CENTRE_X, FOCAL, RADIAL
 from models.calibrating.image_sizes import Images
+from models.calibrating.problem import CalibrationProblem
 from models.calibrating.result import SelfCalibration
 from models.findings.finding import Finding
 from models.optics.lenses.projection import PINHOLE
@@ -18,15 +19,21 @@ MOST_BENT = 1.0  # first radial coefficient, of a pinhole
 OFF_CENTRE = (
     0.75  # of the image's longest side: a principal point so far from the middle is outside
 )
+DISAGREE = 4.0  # standard deviations of a given focal length
 NARROW = 10.0  # degrees between two directions of view, or missing to 180
 
 
-def camera_findings(found: SelfCalibration, images: Images, size: float) -> tuple[Finding, ...]:
-    """Return findings of cameras of views of `images`, whose root-mean-square radius is `size`.
+def camera_findings(problem: CalibrationProblem, found: SelfCalibration) -> tuple[Finding, ...]:
+    """Return findings of the cameras that were found.
 
-    Given numbers of a camera are kept and get no findings.
+    Given numbers of a camera that are kept get no findings.
     """
-    return (*_lenses(found, images), *_noise(found, size), *_opposite(found))
+    return (
+        *_lenses(found, problem.images),
+        *_given(problem, found),
+        *_noise(found, problem.size),
+        *_opposite(found),
+    )
 
 
 def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:
@@ -52,6 +59,16 @@ def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:
             shortest_focal_in_sides=float(focals[extreme].min()),
             longest_focal_in_sides=float(focals[extreme].max()),
             largest_k1=float(bent[extreme].max()),
+        )
+
+
+def _given(problem: CalibrationProblem, found: SelfCalibration) -> Iterator[Finding]:
+    """Yield a finding of each view whose focal length is far from the given one."""
+    given, ours = problem.given_focals, found.rig.lenses.focals.mean(-1)
+    far = np.abs(np.log(ours / given)) > DISAGREE * problem.lens_sds[:, FOCAL]  # False for NaN
+    for view in np.flatnonzero(far & (problem.lens_sds[:, FOCAL] > 0)).tolist():
+        yield Finding.of(
+            "lens_disagrees", views=(view,), given_focal_px=given[view], focal_px=ours[view]
         )
 
 

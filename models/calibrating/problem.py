@@ -64,6 +64,7 @@ class CalibrationProblem(NamedTuple):
     # (K, LENS) standard deviations of given lenses, in the numbers of `models.bundle.problem.VIEW`:
     # 0 for numbers that are held, infinity for those that are not given.
     lens_sds: Float64
+    given_focals: Float64  # (K,) pixels, as they were given; NaN where they were not
     poses: tuple[Pose | None, ...]  # K, as they were given
     cameras_alike: Alike
     lens_groups: NDArray[np.int64]  # (K,) views of one number have alike lenses
@@ -135,6 +136,7 @@ def problem_of(
         usual,
         reference,
         lens_sds,
+        np.where(np.isfinite(lens_sds[:, FOCAL]), reference.lenses.focals.mean(1), np.nan),
         poses_of(calibration),
         alike,
         groups,

@@ -332,6 +332,6 @@ def _result(
         findings=findings,
         handedness_certainty=certain,
     )
-    of_cameras = noticed(camera_findings, found, problem.images, problem.size)
+    of_cameras = noticed(camera_findings, problem, found)
     of_lenses = yield from attempt_steps(lens_findings(problem, best, sds), ())
     return replace(found, findings=(*findings, *of_cameras, *of_lenses))

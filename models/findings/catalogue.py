@@ -32,6 +32,7 @@ CameraCode = TypeAliasType(
         "rig_declared_but_moving",
         "calibration_disagrees",
         "calibration_read_otherwise",
+        "lens_disagrees",
         "known_length_disagrees",
         "known_distance_not_used",
         "camera_moved",
@@ -174,6 +175,14 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " 1), or with the cameras in another order (`camera_of_view_0` ...).",
         "Give poses that transform from the room to the camera, x right, y down, z forward, and the"
         " cameras in the order of the views.",
+    ),
+    "lens_disagrees": Entry(
+        "warning",
+        "The keypoints contradict what was given of the lenses of these views by more than four of"
+        " its standard deviations. The answer lies between the two; the evidence has both, in"
+        " pixels.",
+        "Check the lens: 35 mm equivalents are of the whole sensor, and zoom, video modes and"
+        " stabilisation crop it. Check the image sizes, too, or leave the lens out.",
     ),
     "known_length_disagrees": Entry(
         "warning",

@@ -37,6 +37,7 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "rig_declared_but_moving": ("cameras",),
     "calibration_disagrees": ("calibration",),
     "calibration_read_otherwise": ("calibration",),
+    "lens_disagrees": ("lenses", "image_sizes"),
     "known_length_disagrees": ("known_length", "known_distance", "calibration"),
     "known_distance_not_used": ("known_length", "known_distance", "cameras"),
     "camera_moved": ("cameras",),

@@ -9,16 +9,20 @@ from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, VIEW, make_rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.image_sizes import Images
+from models.calibrating.problem import CalibrationProblem, problem_of
 from models.calibrating.result import SelfCalibration
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
 from models.optics.lenses.projection import COEFFICIENTS, Lenses
+from models.settings.config import FitConfig
+from models.settings.lenses import Lens
 from tests.models.rigs import around
 
 IMAGES = Images(
     np.full((2, 2), [1280.0, 1024.0]), np.full((2, 2), [640.0, 512.0]), np.ones(2, np.bool_)
 )
 SIZE = 100.0  # pixels
+GIVEN = 1100.0  # pixels, the focal lengths of `calibration`
 
 
 def calibration(azimuth: float = 90.0) -> SelfCalibration:
@@ -45,8 +49,16 @@ def calibration(azimuth: float = 90.0) -> SelfCalibration:
     )
 
 
-def findings(found: SelfCalibration) -> dict[str, Finding]:
-    return {finding.code: finding for finding in camera_findings(found, IMAGES, SIZE)}
+def problem(**lens: float) -> CalibrationProblem:
+    """Return the problem of these images, with what is known of the second lens, if anything."""
+    config = FitConfig(lenses=[None, Lens(**lens)] if lens else None)
+    sizes = [(1280, 1024)] * 2
+    asked = problem_of(np.zeros((1, 2, 5, 2)), np.ones((1, 2, 5)), sizes, config)
+    return asked._replace(images=IMAGES, size=SIZE)
+
+
+def findings(found: SelfCalibration, **lens: float) -> dict[str, Finding]:
+    return {finding.code: finding for finding in camera_findings(problem(**lens), found)}
 
 
 def test_ordinary_cameras_give_no_finding() -> None:
@@ -70,6 +82,20 @@ def test_a_focal_length_that_cannot_be_seen() -> None:
     unsure = calibration()
     unsure.deviations[1, FOCAL] = 0.4
     assert findings(unsure)["focal_not_observable"].views == (1,)
+
+
+@pytest.mark.parametrize(("focal", "sd", "disagrees"), [(1.19, 0.05, False), (1.23, 0.05, True)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_lens_that_keypoints_contradict(
+    focal: float, sd: float, disagrees: bool, sign: int
+) -> None:
+    found = findings(calibration(), focal=GIVEN * focal**sign, sd=sd)
+    assert list(found) == ["lens_disagrees"] * disagrees
+    if disagrees:
+        assert found["lens_disagrees"].views == (1,)
+        evidence = found["lens_disagrees"].evidence
+        assert evidence["given_focal_px"] == pytest.approx(GIVEN * focal**sign)
+        assert evidence["focal_px"] == pytest.approx(GIVEN)
 
 
 def test_lenses_unlike_real_ones_unless_they_were_given() -> None:
