@@ -19,7 +19,7 @@ from models.numerics.steps import Steps
 LIKELY = 12.0  # nats below the best: shapes are not asked about less likely places
 SAME = 0.02  # of both logarithms: places nearer than this are asked once
 ASIDE = 0.25  # of the log ratio, how far off the best one it is tried
-SHAPE_NATS = 30.0  # of the evidence of shapes are worth one
+SHAPE_NATS = 45.0  # of the evidence of shapes are worth one
 
 
 def with_shapes(pair: Pair, profile: Profile) -> Steps[list[Walk]]:

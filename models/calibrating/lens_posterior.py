@@ -23,7 +23,7 @@ RATIOS = np.linspace(-3.5, 3.5, 21)  # standard deviations of the log ratio
 # Errors of the evidence of shapes, learnt on drawn motions: Student's t of common log focal length
 # and ratio, and the probability that shapes mislead.
 SHAPE_SDS = np.array([0.1, 0.3])
-SHAPE_FREEDOM, MISLEADS = 3.0, 0.02
+SHAPE_FREEDOM, MISLEADS = 3.0, 0.1
 EVERYWHERE = 1 / (2.4 * 2.0)  # density of the two logarithms where shapes are not informative
 FAR_ASIDE = 0.3  # of the log ratio: so far shapes are believed without being asked
 LEAST_SHARE = 1e-3  # of a place among those that shapes favour
