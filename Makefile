@@ -1,5 +1,6 @@
 # make demo   set up, then run the main job end to end: `make demo CAPTURE=file.npz` for your own
-# make test   set up, then lint, type-check and test everything
+# make test   set up, then lint, type-check and test every behaviour
+# make test-all   the same with the thorough tests, as before a release: docs/development.md
 # make check  lint, type-check and test what you changed: docs/development.md
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
@@ -17,7 +18,7 @@ IMAGE_SIZE ?=
 # Python may keep what it compiles of each module: dozens of processes import the same ones.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo docs page test tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
+.PHONY: demo docs page test test-all tests check changed lint types fuzz serve openapi lock benchmark fidelity performance clean
 
 demo: .venv/compiled .venv/page
 	$(BIN)/python examples/demo.py $(if $(CAPTURE),"$(CAPTURE)")
@@ -25,9 +26,13 @@ demo: .venv/compiled .venv/page
 test: lint
 	$(MAKE) --jobs 2 types tests
 
+# Those that are not thorough (pyproject.toml), or with `test-all` every one.
+test-all: MARKED := -m ''
+test-all: test
+
 # Four tests at a time: many wait for processes, so two cores are busy.
 tests: .venv/compiled .venv/page
-	$(BIN)/pytest --numprocesses 4 --dist worksteal
+	$(BIN)/pytest --numprocesses 4 --dist worksteal $(MARKED)
 
 check: lint
 	$(MAKE) --jobs 2 --output-sync types changed

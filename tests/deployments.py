@@ -1,7 +1,8 @@
 """Where tests keep records and objects: in a folder, as one laptop does, or as many machines do.
 
 A test, or a module of them by its ``pytestmark``, runs on both with ``on_every_deployment``; those
-of ``tests/store`` do so anyway, save where they say ``embedded_only``.
+of ``tests/store`` do so anyway, save where they say ``embedded_only``. A slow one, where others see
+a scaled deployment do the same, runs on it for ``make test-all`` alone: ``scaled_is_thorough``.
 """
 
 import shutil
@@ -23,9 +24,11 @@ from store.database import Store
 from store.records import Record
 from store.settings import StoreSettings
 from tests.object_stores import S3
+from tests.tiers import thorough_after
 
 KINDS = ("embedded", "scaled")  # SQLite and a folder; PostgreSQL and S3
 on_every_deployment = pytest.mark.parametrize("deployment", KINDS, indirect=True)
+scaled_is_thorough = pytest.mark.parametrize("deployment", thorough_after(1, KINDS), indirect=True)
 embedded_only = pytest.mark.parametrize("deployment", KINDS[:1], indirect=True)
 
 # A crash of the machine ends the test session anyhow.

@@ -20,6 +20,7 @@ import pytest
 from PIL import Image
 
 from tests import fork_server
+from tests.tiers import thorough_after
 from worker.process import python
 
 ROOT = Path(__file__).parents[2]
@@ -117,7 +118,9 @@ class Reader:
                 list(lines)  # until it has ended
 
 
-@pytest.mark.parametrize("name", ["deeplabcut", "sleap", "openpose", "capture-software"])
+@pytest.mark.parametrize(
+    "name", thorough_after(2, ["sleap", "openpose", "deeplabcut", "capture-software"])
+)
 def test_a_tutorial_works_as_it_is_written(name: str, tmp_path: Path) -> None:
     with ExitStack() as stack:
         Reader(tmp_path, stack).follow(ROOT / "docs" / "tutorials" / f"{name}.md")

@@ -26,6 +26,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_a_program_in_typescript_does_the_whole_job(
     project: Path, live: Live, capture: SyntheticCapture
 ) -> None:

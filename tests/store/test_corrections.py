@@ -15,6 +15,7 @@ from store.datasets import CaptureDescription
 from store.errors import InputError, NotFoundError
 from store.records import DatasetRecord
 from store.usage import usage
+from tests.deployments import scaled_is_thorough
 
 MOVED = Correction(Place(2, 1, 3), (412.5, 230.25))
 REMOVED = Correction(Place(13, 0, 1), None)
@@ -58,6 +59,7 @@ def read(store: Store, dataset: str) -> Iterator[Capture]:
         yield Capture(arrays["keypoints"], arrays["confidence"])
 
 
+@scaled_is_thorough
 def test_every_reader_has_the_corrections_and_undoing_gives_back_every_bit(
     store: Store, dataset: str, capture: Capture
 ) -> None:

@@ -13,7 +13,7 @@ from store.database import Store
 from store.ids import new_id
 from store.records import DatasetRecord
 from store.settings import StoreSettings
-from tests.deployments import embedded_only
+from tests.deployments import embedded_only, scaled_is_thorough
 from tests.fork_server import Popen
 from worker.process import python
 
@@ -37,6 +37,7 @@ while True:
 """
 
 
+@scaled_is_thorough
 def test_killed_writers_leave_whole_datasets_and_orphans_that_are_swept(
     store: Store, settings: StoreSettings
 ) -> None:

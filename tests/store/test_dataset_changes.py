@@ -9,6 +9,7 @@ from store.database import Store
 from store.datasets import CaptureDescription
 from store.errors import CaptureError
 from store.records import DatasetRecord, ModelRecord
+from tests.deployments import scaled_is_thorough
 from tests.store.test_fits import DESCRIBE
 
 
@@ -16,6 +17,7 @@ def codes(record: DatasetRecord) -> list[str]:
     return [finding["code"] for finding in record.findings or []]
 
 
+@scaled_is_thorough
 def test_image_sizes_are_compared_with_the_sample_of_an_upload(store: Store) -> None:
     pixels = np.random.default_rng(0).uniform(0, 1000, (9000, 2, 16, 2)).astype(np.float32)
     pixels[:, :, 3] = np.nan  # never seen

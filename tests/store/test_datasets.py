@@ -10,6 +10,7 @@ from store.datasets import CaptureDescription
 from store.errors import CaptureError, ConflictError, KeyReusedError, NotFoundError
 from store.idempotency import Idempotency
 from store.records import DatasetRecord
+from tests.deployments import scaled_is_thorough
 
 BIG = 1_000_000
 
@@ -40,6 +41,7 @@ def test_the_checksum_does_not_depend_on_the_cuts(store: Store, capture: Capture
     assert shuffled.checksum != whole.checksum
 
 
+@scaled_is_thorough
 def test_appending_from_many_threads_loses_nothing(store: Store) -> None:
     frame = np.zeros((1, 1, 4, 2), np.float32)
     dataset = datasets.create(store, Capture.checked(frame), CaptureDescription("a"))

@@ -21,6 +21,7 @@ from store.jobs import MAX_CRASHES
 from store.lift_chunks import Helper
 from store.lift_files import ResultFormat, result_file
 from store.records import LiftChunk, LiftRecord
+from tests.deployments import scaled_is_thorough
 
 FRAMES, CHUNK = 12, 5
 RNG = np.random.default_rng(0)
@@ -237,6 +238,7 @@ def test_what_cannot_be_lifted_is_refused(store: Store, lift: LiftRecord) -> Non
         create(store, lift.dataset_id, max_queued=2)
 
 
+@scaled_is_thorough
 def test_many_keypoints_make_short_chunks(store: Store) -> None:
     rng = np.random.default_rng(0)  # moving keypoints are checked fast: static ones are compared
     many = Capture.checked(rng.uniform(0, 900, (9, 16, 512, 2)))
@@ -279,6 +281,7 @@ def result(store: Store, lift: LiftRecord, wanted: ResultFormat) -> LaidOutFile:
     return result_file(lift, lifts.finished_chunks(store, lift), wanted, {"lift_id": lift.id})
 
 
+@scaled_is_thorough
 @pytest.mark.parametrize("wanted", ["jsonl", "npz", "safetensors"])
 def test_a_result_is_one_file_whichever_parts_of_it_are_read(
     store: Store, lift: LiftRecord, wanted: ResultFormat

@@ -16,7 +16,7 @@ from rq.serializers import JSONSerializer
 from store import jobs, lookup
 from store.database import Store
 from store.records import FitRecord, LiftRecord
-from tests.deployments import on_every_deployment
+from tests.deployments import scaled_is_thorough
 from tests.fork_server import run
 from tests.processes import tied
 from tests.waiting import wait_for
@@ -121,7 +121,7 @@ def names_of_workers(redis: Redis) -> list[str]:
     return [worker.name for worker in Worker.all(connection=redis)]
 
 
-@on_every_deployment
+@scaled_is_thorough
 def test_a_hostile_job_fails_alone(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
 ) -> None:

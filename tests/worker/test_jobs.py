@@ -24,7 +24,7 @@ from store.capture import Capture
 from store.database import Store
 from store.labels import labels_of
 from store.records import FitRecord, ModelRecord
-from tests.deployments import on_every_deployment
+from tests.deployments import scaled_is_thorough
 from tests.waiting import wait_for
 from tests.worker.conftest import (
     CONFIG,
@@ -40,7 +40,7 @@ from worker.queue import enqueue, open_queue
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 
 
-@on_every_deployment
+@scaled_is_thorough
 @pytest.mark.parametrize(("serializer", "config"), [(None, SEEKING), (JSONSerializer, CONFIG)])
 def test_a_plain_producer_gets_record_progress_and_model(
     store: Store,

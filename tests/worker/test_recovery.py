@@ -21,7 +21,7 @@ from store.capture import Capture
 from store.database import Store
 from store.jobs import by_job
 from store.records import FitRecord, ModelRecord
-from tests.deployments import on_every_deployment
+from tests.deployments import on_every_deployment, scaled_is_thorough
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes, tied
 from tests.waiting import wait_for
@@ -75,7 +75,7 @@ def assert_as_if_nothing_had_happened(store: Store, fit: FitRecord, undisturbed:
     assert kinds == {"chunk", "weights", "reconstruction"}
 
 
-@on_every_deployment
+@scaled_is_thorough
 def test_the_worker_is_killed(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:

@@ -114,6 +114,7 @@ def test_bytes_are_laid_out_as_specified(tmp_path: Path, animation: Animation) -
     assert (data[16:20], size % 4, data[20 + size + 4 : 20 + size + 8]) == (b"JSON", 0, b"BIN\0")
 
 
+@pytest.mark.thorough
 def test_the_validator_of_khronos_finds_nothing(
     tmp_path: Path, animation: Animation, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -23,6 +23,7 @@ from models.numerics.steps import finished
 from models.settings.calibration import Camera, Intrinsics
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, RigCapture, keypoint, make_rig_capture
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 
@@ -126,7 +127,7 @@ def test_a_few_keypoints_far_off_do_not_raise_the_noise(static: RigCapture) -> N
     assert found.noise < 1.5  # pixels, 1 of them noise
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("mirrored", thorough_after(1, [True, False]))
 def test_a_static_rig_is_found(static: RigCapture, *, mirrored: bool) -> None:
     found, scene = found_by(static, mirrored=mirrored)
     cameras = camera_report(found)
@@ -201,7 +202,7 @@ def test_what_is_declared_of_the_arrangement_counts(static: RigCapture) -> None:
     assert error(static, scene) < 0.012
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("mirrored", thorough_after(1, [True, False]))
 def test_a_hint_decides_against_what_little_perspective_there_is(*, mirrored: bool) -> None:
     far = make_rig_capture(AZIMUTHS, frames=20, distance=60, lenses=(Lens(focal=16_000),))
     a, b, c, d = (far.points3d[:, corner] for corner in CORNERS)
@@ -289,6 +290,7 @@ def test_a_distorted_lens_is_found() -> None:
     assert error(capture, scene) < 0.01
 
 
+@pytest.mark.thorough
 def test_noisy_cameras_that_face_each_other_have_lenses_near_the_usual() -> None:
     """Rays to a point are nearly one there, so geometry alone does not determine lenses."""
     facing = make_rig_capture([0.0, 175.0], frames=120, noise=0, hidden=0, seed=4)
@@ -359,6 +361,7 @@ def test_unlike_lenses_are_distinguished_unless_declared_alike() -> None:
     assert np.ptp(np.log(camera_report(alike).focals.mean(1))) < np.ptp(np.log(focals)) / 2
 
 
+@pytest.mark.thorough
 def test_lenses_of_two_kinds_are_found() -> None:
     lenses = (Lens(focal=800), Lens(focal=1500), Lens(focal=804), Lens(focal=1495))
     capture = make_rig_capture([0.0, 80.0, -120.0, 160.0], frames=60, lenses=lenses, noise=1.0)

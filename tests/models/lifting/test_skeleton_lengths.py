@@ -152,6 +152,7 @@ def test_two_noisy_views_have_the_right_lenses(prior: FittedPrior) -> None:
     assert (off < 3 * cameras.focal_sds).all()
 
 
+@pytest.mark.thorough
 def test_edges_change_nothing_where_keypoints_are_clear() -> None:
     clear = make_rig_capture(AZIMUTHS, frames=45, noise=0.3, hidden=0, seed=5)
     quick = QUICK.model_copy(update={"steps": 5})

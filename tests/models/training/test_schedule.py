@@ -17,6 +17,7 @@ from models.training.holdout import split
 from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
 from models.training.trainer import Progress, Trainer, fit
 from tests.sharing import fitted_once
+from tests.tiers import thorough_after
 
 # The cameras move here; looking for static cameras would take most of the time.
 QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, cameras="moving")
@@ -76,7 +77,7 @@ def test_what_is_left_is_laid_out_for_the_time_that_is_left() -> None:
     )
 
 
-@pytest.mark.parametrize("refine", ["auto", "off"])
+@pytest.mark.parametrize("refine", thorough_after(1, ["auto", "off"]))
 def test_a_budget_ends_a_fit_that_would_not_end_with_a_usable_prior(
     capture: SyntheticCapture, refine: str
 ) -> None:
@@ -91,6 +92,7 @@ def test_a_budget_ends_a_fit_that_would_not_end_with_a_usable_prior(
     assert np.isfinite(prior.lift(capture.keypoints).points3d).all()
 
 
+@pytest.mark.thorough
 def test_a_budget_that_suffices_changes_nothing(capture: SyntheticCapture) -> None:
     def weights(config: FitConfig) -> list[bytes]:
         found = fit(capture.keypoints[:60], config).weights
@@ -165,6 +167,7 @@ def test_early_stopping_of_few_frames_changes_nothing() -> None:
         np.testing.assert_array_equal(held[name], value)
 
 
+@pytest.mark.thorough
 def test_early_stopping_is_resumed_bit_for_bit(capture: SyntheticCapture) -> None:
     config = QUICK.model_copy(update={"steps": 120, "early_stopping": True, "refine": "off"})
     whole, data = Trainer(capture.keypoints, config), b""

@@ -25,6 +25,7 @@ from tests.service.conftest import (
     start_service,
     to_npz,
 )
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from worker.process import python
 
@@ -85,20 +86,20 @@ def wait_for_step(live: Live, fit_id: str, step: int) -> None:
     wait_for(reached, f"step {step}")
 
 
-@pytest.mark.parametrize("victim", [("valkey-server",), ("service.cli", "worker")])
-def test_a_part_is_killed_in_the_middle_of_a_fit(start: Start, victim: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("victim", thorough_after(1, ["valkey-server", "service.cli"]))
+def test_a_part_is_killed_in_the_middle_of_a_fit(start: Start, victim: str) -> None:
     live = start()
     dataset_id = upload(live)
     fit = live.fit(dataset_id, **SLOW)
     waiting = live.fit(dataset_id, steps=5, refine="off")
     wait_for_step(live, fit["id"], 100)
-    pid = part(live, *victim)
+    pid = part(live, victim)
     os.kill(pid, signal.SIGKILL)
     for made in (fit, waiting):
         ended = live.finished(made["id"])
         assert ended["status"] == "succeeded", ended["error"]
         assert ended["model_id"] is not None
-    assert part(live, *victim) != pid
+    assert part(live, victim) != pid
     ready = wait_for(lambda: live.http.get("/health/ready").status_code == 200, "readiness")
     assert ready
 
@@ -143,7 +144,7 @@ def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
 
 
 def test_everything_is_killed_and_started_again(start: Start) -> None:
-    live = start(popen=subprocess.Popen)  # from nothing, as users start it
+    live = start()
     fit = live.fit(upload(live), **SLOW)
     wait_for_step(live, fit["id"], 100)
     family = descendants(live.process.pid)
@@ -170,6 +171,7 @@ def test_sigterm_saves_the_running_fit_for_the_next_start(start: Start) -> None:
     assert ended["status"] == "succeeded"
 
 
+@pytest.mark.thorough
 def test_nothing_outlives_a_service_whose_parts_are_killed_at_any_time(start: Start) -> None:
     """Most of them as they start others, which are easily forgotten then."""
     live = start()

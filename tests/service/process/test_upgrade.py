@@ -78,6 +78,7 @@ def test_a_lift_that_waited_is_done_as_it_would_have_been(folder: Path, served: 
         np.testing.assert_allclose(now[name], array, rtol=1e-3, atol=1e-3, err_msg=name)
 
 
+@pytest.mark.thorough
 def test_a_fit_that_was_cut_off_goes_on_from_its_checkpoint(served: Live) -> None:
     fit = named(served, "fits", "interrupted")
 

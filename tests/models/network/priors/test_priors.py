@@ -30,6 +30,7 @@ from models.numerics.rotations import rotations_from_rows
 from models.settings.config import FitConfig
 from models.training.trainer import Trainer, fit
 from tests.sharing import fitted_once
+from tests.tiers import thorough_after
 
 # Every prior in several sizes: odd ones, and the smallest there are.
 CONFIGS = {
@@ -48,7 +49,7 @@ DEFAULTS = [FitConfig(prior=name, steps=40, batch_size=16, cameras="moving") for
 KEYPOINTS = 11
 
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-every_prior = pytest.mark.parametrize("config", DEFAULTS, ids=PRIORS)
+every_prior = pytest.mark.parametrize("config", thorough_after(1, DEFAULTS), ids=PRIORS)
 
 
 @pytest.fixture(scope="module")
