@@ -53,7 +53,9 @@ class Located(NamedTuple):
         return Located(self.points[frames], self.information[frames])
 
 
-class _Shapes(NamedTuple):
+class LocatedShapes(NamedTuple):
+    """x = mean + B z + e, z ~ N(0, 1), e ~ N(0, Psi), in sizes of the subject."""
+
     mean: Float64  # (P, 3)
     basis: Float64  # (P, 3, Q)
     left: Float64  # (P, 3, 3) Psi
@@ -123,7 +125,7 @@ def shape_evidence(located: Located) -> Float64:
         judged = np.flatnonzero((odd != half) & usable)
         if len(learnt) < 2 or not len(judged):
             raise np.linalg.LinAlgError("too few frames show the subject")
-        shapes = _learn(located.of(learnt))
+        shapes = learn_shapes_of(located.of(learnt))
         evidence[judged] = _log_likelihood(shapes, located.of(judged))
     return evidence
 
@@ -134,7 +136,7 @@ def blocks_of(frames: int) -> Int64:
     return np.arange(frames) * count // frames
 
 
-def _learn(located: Located) -> _Shapes:
+def learn_shapes_of(located: Located) -> LocatedShapes:
     """Learn shapes by expectation maximisation, from the principal components of the frames."""
     shapes = _start(located)
     known = located.known.astype(np.float64)
@@ -162,11 +164,11 @@ def _learn(located: Located) -> _Shapes:
         squares = np.einsum("np,npi,npj->pij", known, x, x)
         squares += np.einsum("np,npij->pij", known, within) - solved @ across.mT
         mean = np.where(seen[..., 0] > 0, solved[..., 0], shapes.mean)
-        shapes = _Shapes(mean, solved[..., 1:], _pooled((squares + squares.mT) / 2, seen))
+        shapes = LocatedShapes(mean, solved[..., 1:], _pooled((squares + squares.mT) / 2, seen))
     return shapes
 
 
-def _start(located: Located) -> _Shapes:
+def _start(located: Located) -> LocatedShapes:
     """Align structures with their mean, and take their principal components."""
     known = located.known
     fullest = int(known.sum(1).argmax())
@@ -185,7 +187,7 @@ def _start(located: Located) -> _Shapes:
     rest = (apart - left[:, :count] @ basis.T).reshape(turned.shape)
     squares = np.einsum("npi,npj->pij", rest, rest)
     basis = (basis / np.sqrt(len(apart))).reshape(*mean.shape, count)
-    return _Shapes(mean, basis, _pooled(squares, counts[..., None]))
+    return LocatedShapes(mean, basis, _pooled(squares, counts[..., None]))
 
 
 def _pooled(squares: Float64, counts: Float64) -> Float64:
@@ -205,7 +207,9 @@ def _aligned(located: Located, mean: Float64, there: Bool) -> tuple[Float64, Flo
     return rotations, centres - (rotations @ middles[..., None])[..., 0]
 
 
-def _posed(shapes: _Shapes, located: Located, steps: int, start: _Posed | None = None) -> _Posed:
+def _posed(
+    shapes: LocatedShapes, located: Located, steps: int, start: _Posed | None = None
+) -> _Posed:
     """Find poses and shapes of frames by Gauss-Newton steps, from aligned structures if need be."""
     frames, points, count = *located.known.shape, shapes.basis.shape[2]
     if start is None:
@@ -250,7 +254,7 @@ def _crossed(vectors: Float64) -> Float64:
     return np.cross(vectors[..., None, :], EYE).mT
 
 
-def _log_likelihood(shapes: _Shapes, located: Located) -> Float64:
+def _log_likelihood(shapes: LocatedShapes, located: Located) -> Float64:
     """Return the log likelihood (N,) of frames, with poses and shapes integrated out (Laplace)."""
     posed = _posed(shapes, located, STEPS_JUDGED)
     known, information = located.known, located.information

@@ -1,0 +1,314 @@
+"""Covariances of the points of many frames, in the frame of reference that moves with the subject.
+
+An answer's place, direction and, where no rig gives it, size belong to its cameras, not to its
+structure. So they are projected out of its covariance.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
+from models.numerics.compiled import compiled, inner
+from models.numerics.matrices import total
+from models.numerics.threads import in_slices
+from models.optics.lenses.projection import Lenses, project_into
+from models.posterior.frame import (
+    SIMILARITY,
+    FrameCameras,
+    FrameCovariance,
+    ShapeFactor,
+    covariance_of_frame,
+    differentiate_keypoint_into,
+    pose_columns,
+    unknowns_of,
+)
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+FRAMES_AT_A_TIME = 64
+TINY = 1e-12
+
+
+class Frames(NamedTuple):
+    """N answers with their cameras; see `FrameCameras` for units."""
+
+    points: Float64  # (N, P, 3)
+    rotations: Float64  # (N, K, 3, 3)
+    translations: Float64  # (N, K, 3)
+    lenses: Lenses  # of the K views
+    joined: Bool  # (N, K)
+    offsets: Float64  # (N, K, 3)
+    growth: Float64  # (N,)
+    keypoints: Float64  # (N, K, P, 2) pixels
+    weights: Float64  # (N, K, P) inverse variances, 0 where a keypoint is not used
+    turned: Float64  # (N, 3, 3) scale times rotation, from the shapes' mean to the answer
+
+
+class Shapes(NamedTuple):
+    """The shapes of a fit: x = mean + B z + e, e_p of variance eta^2 in each direction."""
+
+    mean: Float64  # (P, 3)
+    basis: Float64  # (P, 3, Q)
+    variances: Float64  # (P,)
+
+
+class Covariances(NamedTuple):
+    """Covariances of N structures; NaN where nothing determines them."""
+
+    blocks: Float64  # (N, P, 3, 3) of each point, all causes together
+    modes: Float64  # (N, P, 3, R) what points share
+    by_cameras: Float64  # (N, P, 3, T) of it, the part of the shared cameras
+
+
+def covariances_of(frames: Frames, shapes: Shapes, factor: Float64) -> Covariances:
+    """Return the covariances of points, given the factor L (K, 11, T) of shared cameras.
+
+    Modes have the columns of each frame's unknowns, 0 where a frame has fewer.
+    """
+    count, views = frames.points.shape[:2], frames.joined.shape[1]
+    size = SIMILARITY + shapes.basis.shape[2] + EXTRINSICS * views
+    out = Covariances(
+        np.full((*count, 3, 3), np.nan),
+        np.zeros((*count, 3, size)),
+        np.zeros((*count, 3, factor.shape[2])),
+    )
+    in_slices(
+        len(frames.points),
+        FRAMES_AT_A_TIME,
+        lambda part: _covariances(frames, shapes, factor, part.start, part.stop, out),
+    )
+    return out
+
+
+def scores_of(frames: Frames, shapes: Shapes) -> tuple[Float64, Float64]:
+    """Return the information (11 K, 11 K) on the shared numbers, and scores (N, P, 11 K).
+
+    Each frame follows the shared numbers. A score is the part of the gradient of the log
+    likelihood that comes from the keypoints of one point in one frame.
+    """
+    count, views = frames.points.shape[:2], frames.joined.shape[1]
+    numbers = VIEW * views
+    scores, information = np.zeros((*count, numbers)), np.zeros((count[0], numbers, numbers))
+    in_slices(
+        len(frames.points),
+        FRAMES_AT_A_TIME,
+        lambda part: _scores(frames, shapes, part.start, part.stop, information, scores),
+    )
+    return information.sum(0), scores
+
+
+@inner
+def _cameras_of(frames: Frames, factor: Float64, n: int) -> FrameCameras:
+    return FrameCameras(
+        frames.rotations[n],
+        frames.translations[n],
+        frames.lenses,
+        frames.joined[n],
+        frames.offsets[n],
+        frames.growth[n],
+        factor,
+    )
+
+
+@inner
+def _shapes_of(frames: Frames, shapes: Shapes, n: int) -> ShapeFactor:
+    """Turn and scale the basis, and scale the variances, as the answer is."""
+    count, _, size = shapes.basis.shape
+    turned, columns = frames.turned[n], np.zeros(shapes.basis.shape)
+    squared = 0.0
+    for i in range(3):
+        for j in range(3):
+            squared += turned[i, j] ** 2 / 3
+    for p in range(count):
+        for i in range(3):
+            for j in range(3):
+                for q in range(size):
+                    columns[p, i, q] += turned[i, j] * shapes.basis[p, j, q]
+    return ShapeFactor(columns, squared * shapes.variances)
+
+
+@inner
+def _room_for(
+    cameras: FrameCameras, shapes: ShapeFactor, count: int, shared: int
+) -> FrameCovariance:
+    size = unknowns_of(cameras, shapes)
+    return FrameCovariance(
+        np.empty((count, 3, 3)),
+        np.empty((count, 3, size)),
+        np.empty((count, 3, shared)),
+        np.empty((size, shared)),
+    )
+
+
+@compiled
+def _covariances(
+    frames: Frames, shapes: Shapes, factor: Float64, start: int, stop: int, out: Covariances
+) -> None:
+    count, shared = frames.points.shape[1], factor.shape[2]
+    for n in range(start, stop):
+        cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
+        views = Views(frames.keypoints[n], frames.weights[n])
+        found = _room_for(cameras, shape, count, shared)
+        if not covariance_of_frame(frames.points[n], cameras, views, shape, found):
+            continue
+        sized = _rig_views(cameras, views) > 1
+        axes = _gauge(frames.points[n], SIMILARITY - 1 if sized else SIMILARITY)
+        _project(axes, found.modes)
+        _project(axes, found.by_cameras)
+        _write_blocks(axes, found, out.blocks[n])
+        for p in range(count):
+            for i in range(3):
+                for a in range(found.modes.shape[2]):
+                    out.modes[n, p, i, a] = found.modes[p, i, a]
+                for t in range(shared):
+                    out.by_cameras[n, p, i, t] = found.by_cameras[p, i, t]
+
+
+@inner
+def _rig_views(cameras: FrameCameras, views: Views) -> int:
+    """Return how many cameras of a static rig see the subject: two give it a size."""
+    seeing = 0
+    for k in range(len(cameras.joined)):
+        if cameras.joined[k] and total(views.weights[k]) > 0:
+            seeing += 1
+    return seeing
+
+
+@inner
+def _gauge(points: Float64, size: int) -> Float64:
+    """Return orthonormal directions (size, P, 3) of translations, rotations and growth."""
+    count, middle = len(points), np.zeros(3)
+    for p in range(count):
+        for i in range(3):
+            middle[i] += points[p, i] / count
+    axes = np.zeros((size, count, 3))
+    for p in range(count):
+        x, y, z = points[p, 0] - middle[0], points[p, 1] - middle[1], points[p, 2] - middle[2]
+        for i in range(3):
+            axes[i, p, i] = 1.0
+        axes[3, p, 1], axes[3, p, 2] = -z, y
+        axes[4, p, 0], axes[4, p, 2] = z, -x
+        axes[5, p, 0], axes[5, p, 1] = -y, x
+        if size == SIMILARITY:
+            axes[6, p, 0], axes[6, p, 1], axes[6, p, 2] = x, y, z
+    for a in range(size):  # Gram and Schmidt
+        for b in range(a):
+            along = 0.0
+            for p in range(count):
+                for i in range(3):
+                    along += axes[a, p, i] * axes[b, p, i]
+            for p in range(count):
+                for i in range(3):
+                    axes[a, p, i] -= along * axes[b, p, i]
+        squared = TINY
+        for p in range(count):
+            for i in range(3):
+                squared += axes[a, p, i] ** 2
+        for p in range(count):
+            for i in range(3):
+                axes[a, p, i] /= np.sqrt(squared)
+    return axes
+
+
+@inner
+def _project(axes: Float64, columns: Float64) -> None:
+    """Remove the parts along `axes` (A, P, 3) from columns (P, 3, C)."""
+    count, _, size = columns.shape
+    along = np.zeros((len(axes), size))
+    for a in range(len(axes)):
+        for p in range(count):
+            for i in range(3):
+                for c in range(size):
+                    along[a, c] += axes[a, p, i] * columns[p, i, c]
+    for a in range(len(axes)):
+        for p in range(count):
+            for i in range(3):
+                for c in range(size):
+                    columns[p, i, c] -= axes[a, p, i] * along[a, c]
+
+
+@inner
+def _write_blocks(axes: Float64, found: FrameCovariance, blocks: Float64) -> None:
+    """Write each point's covariance (P, 3, 3); `found` has projected modes."""
+    count, size = len(blocks), len(axes)
+    carried, middle = np.zeros((size, count, 3)), np.zeros((size, size))
+    for a in range(size):
+        for p in range(count):
+            for i in range(3):
+                for j in range(3):
+                    carried[a, p, i] += axes[a, p, j] * found.own[p, j, i]
+    for a in range(size):
+        for b in range(size):
+            for p in range(count):
+                for i in range(3):
+                    middle[a, b] += carried[a, p, i] * axes[b, p, i]
+    for p in range(count):
+        for i in range(3):
+            for j in range(3):
+                block = found.own[p, i, j]
+                for a in range(size):
+                    block -= axes[a, p, i] * carried[a, p, j] + carried[a, p, i] * axes[a, p, j]
+                    for b in range(size):
+                        block += axes[a, p, i] * middle[a, b] * axes[b, p, j]
+                for c in range(found.modes.shape[2]):
+                    block += found.modes[p, i, c] * found.modes[p, j, c]
+                for t in range(found.by_cameras.shape[2]):
+                    block += found.by_cameras[p, i, t] * found.by_cameras[p, j, t]
+                blocks[p, i, j] = block
+
+
+@compiled
+def _scores(
+    frames: Frames, shapes: Shapes, start: int, stop: int, information: Float64, scores: Float64
+) -> None:
+    count, views = frames.points.shape[1], frames.joined.shape[1]
+    numbers = VIEW * views
+    factor = np.zeros((views, VIEW, numbers))
+    for k in range(views):
+        for number in range(VIEW):
+            factor[k, number, VIEW * k + number] = 1.0
+    by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
+    camera, pixel, row = np.empty(3), np.empty(2), np.empty(numbers)
+    for n in range(start, stop):
+        cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
+        seen = Views(frames.keypoints[n], frames.weights[n])
+        found = _room_for(cameras, shape, count, numbers)
+        if not covariance_of_frame(frames.points[n], cameras, seen, shape, found):
+            continue
+        size = found.modes.shape[2]
+        for k in range(views):
+            own = pose_columns(cameras, k, size)
+            for p in range(count):
+                w = seen.weights[k, p]
+                if not w > 0:
+                    continue
+                point = frames.points[n, p]
+                differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
+                for i in range(3):
+                    camera[i] = cameras.translations[k, i]
+                    for j in range(3):
+                        camera[i] += cameras.rotations[k, i, j] * point[j]
+                project_into(camera, cameras.lenses, k, pixel)
+                for a in range(2):
+                    residual = seen.keypoints[k, p, a] - pixel[a]
+                    for t in range(numbers):
+                        row[t] = 0.0
+                        for i in range(3):
+                            row[t] += by_point[a, i] * found.by_cameras[p, i, t]
+                        if not cameras.joined[k]:
+                            for number in range(EXTRINSICS):
+                                by_pose = by_numbers[a, LENS + number]
+                                row[t] += by_pose * found.poses_by_cameras[own + number, t]
+                    free = VIEW if cameras.joined[k] else LENS
+                    for number in range(free):
+                        row[VIEW * k + number] += by_numbers[a, number]
+                    for t in range(numbers):
+                        scores[n, p, t] += w * residual * row[t]
+                    # The total derivative of the gradient by the shared numbers.
+                    for number in range(free):
+                        left = w * by_numbers[a, number]
+                        for t in range(numbers):
+                            information[n, VIEW * k + number, t] += left * row[t]

@@ -1,0 +1,225 @@
+"""What a fit learns of its own doubt: noise of its keypoints, shapes, and covariance of cameras."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.bundle.problem import CENTRE_X, FOCAL, LENS, RADIAL, RADIAL_2, VIEW, Rig
+from models.calibrating.shape_evidence import Located, learn_shapes_of
+from models.lifting.lift import LiftedFrames
+from models.posterior.answers import frames_of, reprojected
+from models.posterior.frames import Frames, Shapes, scores_of
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+LEAST_SPREAD = 1e-3  # of a keypoint about its shapes, radii of the structure
+LEAST_NOISE = 1e-3  # pixels
+STEP = 1e-5  # of the largest coordinate, for differences of pixels
+ILL = 1e8  # condition of the information on a point, from which keypoints do not locate it
+POOLED = 20.0  # frames that the noise of a view's other keypoints is worth
+ROUNDS = 5  # of learning noise
+MOST_LEVERAGE = 0.98  # share of the noise that an answer follows
+HALF = 2 * np.log(2)  # median of the squared distance of white noise in two directions
+TINY = 1e-12
+LEFT = 1.579  # mean squared distance of white noise of variance 1, as far as it counts
+BLOCKS = 20  # of frames whose errors are independent
+MOST_FACTORS = 24
+# Standard deviations without any keypoint, where the number is free: as in
+# `models.calibrating.lens_prior`, those of one kind of lens.
+LENS_SDS = {FOCAL: 0.5, RADIAL: 0.2, RADIAL_2: 0.07}
+CENTRE_SD = 0.02  # of the longest side, twice the distance of the principal point
+WIDEST = 1e3  # of rotations (radians) and translations (structures)
+
+
+class Learnt(NamedTuple):
+    """The posterior of the numbers that all frames of a fit share."""
+
+    shapes: Shapes
+    noise: Float64  # (K, P) pixels, of a coordinate of a keypoint of confidence 1
+    factor: Float64  # (K, 11, T) L, the covariance of the cameras' numbers is L L^T
+
+
+def learn(
+    lift: LiftedFrames,
+    rig: Rig,
+    mean: Float64,
+    keypoints: Float64,
+    weights: Float64,
+    deviations: Float64,
+) -> Learnt:
+    """Learn from the frames of a fit and their lift, which has perspective cameras.
+
+    Parameters
+    ----------
+    mean
+        (P, 3) of the shapes.
+    keypoints, weights
+        (N, K, P, 2) pixels as they were detected, and (N, K, P) confidences, 0 where not used.
+    deviations
+        (K, 11) standard deviations that the calibration gives to its numbers; 0 where held.
+    """
+    weights = np.where((lift.camera_models > 0)[..., None], weights, 0.0)
+    noise = np.full(weights.shape[1:], _typical(lift, rig, keypoints, weights))
+    for _ in range(ROUNDS):
+        frames = frames_of(lift, rig, mean, keypoints, weights, noise)
+        _, left, share = _triangulated(frames)
+        noise = _noise(frames.weights * np.square(noise), left, share)
+    frames = frames_of(lift, rig, mean, keypoints, weights, noise)
+    shapes = _shapes(_triangulated(frames)[0])
+    frames = frames_of(lift, rig, shapes.mean, keypoints, weights, noise)
+    return Learnt(shapes, noise, camera_factor(frames, shapes, rig, deviations))
+
+
+def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
+    """Move points to where keypoints alone put them, by one step from the answers.
+
+    Returns them as far as two views show them, the pixels (N, K, P, 2) that keypoints are off
+    then, and the share (N, K, P) of white noise that is left in these.
+    """
+    derivatives, pixels = _derivatives(frames)
+    off = frames.keypoints - pixels
+    information = np.einsum("nkp,nkpai,nkpaj->npij", frames.weights, derivatives, derivatives)
+    pull = np.einsum("nkp,nkpai,nkpa->npi", frames.weights, derivatives, off)
+    known = ((frames.weights > 0).sum(1) > 1) & (np.linalg.cond(information) < ILL)
+    covariance = np.zeros(information.shape)
+    covariance[known] = np.linalg.inv(information[known])
+    step = (covariance @ pull[..., None])[..., 0]
+    followed = np.einsum("nkpai,npij,nkpaj->nkp", derivatives, covariance, derivatives)
+    share = 1 - (followed * frames.weights / 2).clip(0, MOST_LEVERAGE)
+    share = np.where(known[:, None] & (frames.weights > 0), share, np.nan)
+    left = off - np.einsum("nkpai,npi->nkpa", derivatives, step)
+    points = frames.points + step
+    sizes = np.sqrt(np.square(frames.turned).sum((1, 2)) / 3)[:, None, None]
+    located = Located(
+        np.where(known[..., None], points / sizes, 0.0),
+        np.where(known[..., None, None], information * sizes[..., None] ** 2, 0.0),
+    )
+    return located, left, share
+
+
+def _derivatives(frames: Frames) -> tuple[Float64, Float64]:
+    """Return derivatives (N, K, P, 2, 3) of pixels by points, and the pixels (N, K, P, 2)."""
+
+    def pixels_of(points: Float64) -> Float64:
+        return reprojected(points, frames.rotations, frames.translations, frames.lenses)
+
+    step = STEP * float(np.abs(frames.points).max())
+    sides = [
+        [pixels_of(frames.points + sign * step * axis) for sign in (1, -1)] for axis in np.eye(3)
+    ]
+    slopes = [(more - less) / (2 * step) for more, less in sides]
+    return np.stack(slopes, -1), pixels_of(frames.points)
+
+
+def _shapes(located: Located) -> Shapes:
+    """Learn shapes from points that keypoints alone locate."""
+    learnt = learn_shapes_of(located)
+    variances = learnt.left.trace(axis1=1, axis2=2) / 3 + LEAST_SPREAD**2
+    return Shapes(*(np.ascontiguousarray(part) for part in (learnt.mean, learnt.basis, variances)))
+
+
+def _noise(weights: Float64, left: Float64, share: Float64) -> Float64:
+    """Return the noise (K, P) of each keypoint of each view, with what repeats in all frames."""
+    seen = np.isfinite(share)
+    weights = np.where(seen, weights, 0.0)
+    squares = (weights * np.square(left).sum(-1)).sum(0) / LEFT  # (K, P)
+    shares = np.where(seen, share, 0.0).sum(0)
+    of_view = squares.sum(1) / shares.sum(1).clip(TINY)
+    of_all = squares.sum() / max(float(shares.sum()), TINY)
+    of_view = np.where(shares.sum(1) > 1, of_view, of_all)
+    white = (squares + POOLED * of_view[:, None]) / (shares + POOLED)
+    count = seen.sum(0)
+    biases = np.square((weights[..., None] * left).sum(0) / count.clip(1)[..., None]).sum(-1) / 2
+    repeated = (biases / (shares / count.clip(1)).clip(0.1) - white / count.clip(1)).clip(0)
+    total = white + np.where(count > 1, repeated, 0.0)
+    return np.asarray(np.sqrt(total.clip(LEAST_NOISE**2)))
+
+
+def _typical(lift: LiftedFrames, rig: Rig, keypoints: Float64, weights: Float64) -> float:
+    """Return the usual distance of keypoints from their reprojections, pixels a coordinate."""
+    points, rotations, translations = (
+        np.nan_to_num(array.astype(np.float64))
+        for array in (lift.points3d, lift.rotations, lift.translations)
+    )
+    pixels = reprojected(points, rotations, translations, rig.lenses)
+    off = np.square(keypoints - pixels).sum(-1) * weights
+    return max(float(np.sqrt(np.median(off[weights > 0]) / HALF)), LEAST_NOISE)
+
+
+def camera_factor(frames: Frames, shapes: Shapes, rig: Rig, deviations: Float64) -> Float64:
+    """Return L (K, 11, T): the covariance of cameras that errors which repeat leave (sandwich).
+
+    Errors repeat within a keypoint and within a block of frames (Cameron, Gelbach and Miller,
+    *Robust inference with multiway clustering*, 2011). The first camera of a rig and the rig's size
+    are held: they are its frame of reference and its unit.
+    """
+    views = len(rig.groups)
+    free = deviations.ravel() > 0
+    if not free.any():
+        return np.zeros((views, VIEW, 1))
+    information, scores = scores_of(frames, shapes)
+    information = (information + information.T) / 2
+    clusters = (scores.sum(0), _by_block(scores.sum(1)))
+    scatter = sum(part.T @ part for part in clusters)
+    precision = _prior_precision(rig)
+    growth = np.zeros((views, VIEW))
+    growth[:, LENS + 3 :] = rig.translations * rig.static[:, None]
+    along = growth.ravel()[free]
+    matrix = information[np.ix_(free, free)] + np.diag(precision[free])
+    root = np.sqrt(matrix.diagonal())
+    scaled = matrix / root / root[:, None]
+    held = along * root
+    if np.linalg.norm(held) > 0:
+        held /= np.linalg.norm(held)
+        scaled += len(root) * np.outer(held, held)
+    values, vectors = np.linalg.eigh(scaled)
+    half = vectors / np.sqrt(values.clip(1e-12 * values[-1])) / root[:, None]  # Sigma = half half^T
+    scattered = np.asarray(scatter)[np.ix_(free, free)] + np.diag(precision[free])
+    effects, turns = np.linalg.eigh(half.T @ scattered @ half)
+    factor = half @ (turns * np.sqrt(effects.clip(1.0)))
+    if views == 2 and rig.static.all():
+        factor = _with_lenses(factor, np.flatnonzero(free), deviations)
+    left, sizes, _ = np.linalg.svd(factor, full_matrices=False)
+    some = min(len(sizes), MOST_FACTORS)
+    whole = np.zeros((views * VIEW, some))
+    whole[free] = left[:, :some] * sizes[:some]
+    return np.ascontiguousarray(whole.reshape(views, VIEW, some))
+
+
+def _by_block(scores: Float64) -> Float64:
+    """Add up scores (N, T) of blocks of neighbouring frames."""
+    count = min(BLOCKS, len(scores))
+    block = np.arange(len(scores)) * count // len(scores)
+    return np.stack([np.bincount(block, column, count) for column in scores.T], 1)
+
+
+def _prior_precision(rig: Rig) -> Float64:
+    precision = np.full((len(rig.groups), VIEW), WIDEST**-2)
+    for number, sd in LENS_SDS.items():
+        precision[:, number] = sd**-2
+    sides = 2 * rig.lenses.centres.max(1).clip(1.0)
+    precision[:, CENTRE_X:RADIAL] = ((CENTRE_SD * sides) ** -2)[:, None]
+    return precision.ravel()
+
+
+def _with_lenses(factor: Float64, places: NDArray[np.int64], deviations: Float64) -> Float64:
+    """Give the focal lengths of a pair the deviations of their own posterior.
+
+    Epipolar geometry hardly determines them; other evidence does. All else follows them as keypoints
+    demand. Their correlation is that of the keypoints.
+    """
+    lenses = np.flatnonzero(places % VIEW == FOCAL)
+    if not len(lenses):
+        return factor
+    covariance = factor @ factor.T
+    among = covariance[np.ix_(lenses, lenses)]
+    sds = np.sqrt(among.diagonal())
+    wanted = deviations.ravel()[places[lenses]]
+    asked = among * np.outer(wanted / sds, wanted / sds)
+    follow = np.linalg.solve(among + 1e-12 * np.diag(among.diagonal()), covariance[lenses]).T
+    rest = covariance - follow @ covariance[lenses]
+    total = rest + follow @ asked @ follow.T
+    values, vectors = np.linalg.eigh((total + total.T) / 2)
+    return np.asarray(vectors * np.sqrt(values.clip(0)))
