@@ -28,6 +28,7 @@ PACKAGES = {
         ("network",),
         ("bundle",),
         ("calibrating",),
+        ("posterior",),
         ("lifting",),
         ("labelling",),
         ("training",),

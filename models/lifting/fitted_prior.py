@@ -1,9 +1,8 @@
 """A fitted prior: lifts 2D keypoints to structures and cameras, and is stored as bytes."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -11,17 +10,18 @@ from numpy.typing import ArrayLike
 
 from models.bundle.known_structures import KnownStructures
 from models.calibrating.result import SelfCalibration, camera_report
-from models.calibrating.result_files import array_shapes, from_arrays, to_arrays
-from models.capture.denoising import DENOISER_KIND, Denoiser
-from models.capture.motion import MotionModel
+from models.calibrating.result_files import to_arrays
+from models.capture.denoising import DENOISER_KIND
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OUTLIERS_KIND, OutlierModel
 from models.findings.finding import Finding
 from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
+from models.lifting.deviations import with_deviations
 from models.lifting.fitted_capture import FittedCapture, whole_capture
 from models.lifting.frame_refinement import make_refiner
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following, ObservedFrames, Observer
+from models.lifting.prior_parts import parts_of
 from models.lifting.second_looks import Lifter, lift_frames
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.lifting.usual_structure import without_unlikely
@@ -38,6 +38,7 @@ from models.numerics.tensor_files import (
     unpack,
     without_prefix,
 )
+from models.posterior.posterior import Posterior
 from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
@@ -62,12 +63,14 @@ class FittedPrior:
         outliers: OutlierModel | None = None,
         skeleton: SkeletonLengths | None = None,
         structures: KnownStructures | None = None,
+        posterior: Posterior | None = None,
     ) -> None:
         self.config = config
         self._noise_removal = noise_removal or NoiseRemoval()
         self._outliers = outliers
         self._skeleton = skeleton
         self._structures = structures
+        self._posterior = posterior
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
         self._self_calibration = self_calibration
         self.curve = curve
@@ -95,8 +98,9 @@ class FittedPrior:
         capture: FittedCapture,
         outliers: OutlierModel | None = None,
         noise_removal: NoiseRemoval | None = None,
+        posterior: Posterior | None = None,
     ) -> "FittedPrior":
-        """Return the same prior with the capture, outlier model and noise removal of a fit."""
+        """Return the same prior with what a fit learnt of its keypoints, and its posterior."""
         return FittedPrior(
             config,
             self._arrays,
@@ -108,6 +112,7 @@ class FittedPrior:
             outliers,
             self._skeleton,
             self._structures,
+            posterior,
         )
 
     @property
@@ -271,7 +276,10 @@ class FittedPrior:
             mode == "full",
         )
         answers = lift_frames(lifter, observed, before)
-        lift = without_unlikely(LiftedFrames(*answers), self.capture.structure)
+        lift = LiftedFrames(*answers)
+        if self._posterior is not None and lifter.refiner is not None:
+            lift = with_deviations(lift, self._posterior, lifter.refiner.rig, observed)
+        lift = without_unlikely(lift, self.capture.structure)
         return lift.among(self.capture.known)
 
     def to_bytes(self) -> bytes:
@@ -297,6 +305,7 @@ class FittedPrior:
             "outliers": (OUTLIERS_KIND, self._outliers),
             "skeleton": ("yes", self._skeleton),
             "structures": ("yes", self._structures),
+            "posterior": ("yes", self._posterior),
         }
         for name, (kind, other) in others.items():
             if other is not None:
@@ -335,7 +344,7 @@ class FittedPrior:
         capture = FittedCapture.from_header(about, keypoints)
         weights = parameter_shapes(config, keypoints)
         shapes: Shapes = {**weights, "curve": (None, 3), "foreshortening": (1,)}
-        there = {name: part for name, part in _parts(about, keypoints).items() if name in about}
+        there = {name: part for name, part in parts_of(about, keypoints).items() if name in about}
         for name, part in there.items():
             shapes |= prefixed(f"{name}.", part.shapes())
         arrays = unpack(data, shapes=shapes)
@@ -348,6 +357,7 @@ class FittedPrior:
                 0 if outliers is None else len(outliers.mean),
                 0 if removal.denoiser is None else len(removal.denoiser.mean),
                 0 if removal.motion is None else len(removal.motion.noise),
+                0 if "posterior" not in parts else len(parts["posterior"].noise),
             )
         )
         return cls(
@@ -361,35 +371,5 @@ class FittedPrior:
             outliers,
             parts.get("skeleton"),
             parts.get("structures"),
+            parts.get("posterior"),
         )
-
-
-class _Part(NamedTuple):
-    """A part that a file may hold, as arrays whose names begin with that of the part."""
-
-    shapes: Callable[[], Shapes]  # of its arrays
-    read: Callable[[Arrays], Any]
-
-
-def _parts(about: dict[str, str], keypoints: int) -> dict[str, _Part]:
-    """Return all parts that a file may hold, by name; its header lists those it has."""
-    return {
-        "cameras": _Part(
-            lambda: array_shapes(about["cameras"], keypoints, None),
-            lambda arrays: from_arrays(arrays, about["cameras"]),
-        ),
-        "denoiser": _Part(
-            lambda: Denoiser.shapes(keypoints, about["denoiser"]),
-            Denoiser.from_arrays,
-        ),
-        "motion": _Part(lambda: MotionModel.shapes(keypoints), MotionModel.from_arrays),
-        "outliers": _Part(
-            lambda: OutlierModel.shapes(keypoints, about["outliers"]),
-            OutlierModel.from_arrays,
-        ),
-        "skeleton": _Part(
-            SkeletonLengths.shapes,
-            lambda arrays: SkeletonLengths.from_arrays(arrays, keypoints),
-        ),
-        "structures": _Part(lambda: KnownStructures.shapes(keypoints), KnownStructures.from_arrays),
-    }

@@ -24,8 +24,8 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     ----------
     arrays
         Those of `LiftedFrames.arrays`; NaN, and -1 in ``camera_models``, where there is no answer.
-        Lifts of older versions have no ``keypoints_seen``, ``outlier_probability`` and
-        ``findings``.
+        Lifts of older versions have no ``keypoints_seen``, ``outlier_probability``,
+        ``points3d_sd`` and ``findings``.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
@@ -39,10 +39,18 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
         texts = [text.replace(_NO_POINT, b"null") for text in texts]
     return [
         (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)
-        % {b"points": text, b"seen": seen, b"odd": odd, b"findings": found, b"views": shown}
-        for fine, text, seen, odd, found, shown in zip(
+        % {
+            b"points": text,
+            b"sd": sd,
+            b"seen": seen,
+            b"odd": odd,
+            b"findings": found,
+            b"views": shown,
+        }
+        for fine, text, sd, seen, odd, found, shown in zip(
             answered.tolist(),
             texts,
+            _deviations(arrays),
             _seen(arrays),
             _outlying(arrays),
             _findings(arrays),
@@ -57,6 +65,16 @@ def _seen(arrays: Arrays) -> Iterable[bytes]:
     if "keypoints_seen" not in arrays:
         return repeat(b"null", len(arrays["points3d"]))
     return [b"[%b]" % text for text in _texts(arrays["keypoints_seen"])]
+
+
+def _deviations(arrays: Arrays) -> Iterable[bytes]:
+    """Return the JSON of how far points may be off; null for frames of which it is not known."""
+    found = arrays.get("points3d_sd")
+    if found is None or np.isnan(found).all():
+        return repeat(b"null", len(arrays["points3d"]))
+    known: list[bool] = np.any(np.isfinite(found), axis=1).tolist()
+    texts = zip(known, _texts(found), strict=True)
+    return [b"[%b]" % text if there else b"null" for there, text in texts]
 
 
 def _outlying(arrays: Arrays) -> Iterable[bytes]:
@@ -118,11 +136,11 @@ _CODES = [  # for every sum of bits
     for total in range(2 * max(FINDING_BITS))
 ]
 _ANSWERED = (
-    b'{"status":"ok","reason":null,"points3d":%(points)b,"keypoints_seen":%(seen)b,'
+    b'{"status":"ok","reason":null,"points3d":%(points)b,"points3d_sd":%(sd)b,"keypoints_seen":%(seen)b,'
     b'"outlier_probability":%(odd)b,"views":[%(views)b],"findings":%(findings)b}'
 )
 _UNANSWERED, _NOT_IN_ROOM = (
-    b'{"status":%b,"reason":%b,"points3d":null,"keypoints_seen":%%(seen)b,'
+    b'{"status":%b,"reason":%b,"points3d":null,"points3d_sd":null,"keypoints_seen":%%(seen)b,'
     b'"outlier_probability":%%(odd)b,"views":[%%(views)b],"findings":%%(findings)b}'
     % (orjson.dumps(status), orjson.dumps(REASONS[status]))
     for status in ("too_few_keypoints", "not_in_room")

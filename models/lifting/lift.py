@@ -69,6 +69,7 @@ class LiftedFrames(Answers):
             return self
         return self._replace(
             points3d=self.points3d[:, chosen],
+            points3d_sd=self.points3d_sd[:, chosen],
             keypoints_seen=self.keypoints_seen[:, chosen],
             outlier_probability=self.outlier_probability[:, :, chosen],
         )
@@ -79,11 +80,15 @@ class LiftedFrames(Answers):
             return self
         points = np.full((len(self.points3d), len(known), 3), np.nan, np.float32)
         points[:, known] = self.points3d
+        sds = np.full(points.shape[:2], np.nan, np.float32)
+        sds[:, known] = self.points3d_sd
         seen = np.zeros(points.shape[:2], np.uint8)
         seen[:, known] = self.keypoints_seen
         judged = np.full((*self.scales.shape, len(known)), np.nan, np.float32)
         judged[:, :, known] = self.outlier_probability
-        return self._replace(points3d=points, keypoints_seen=seen, outlier_probability=judged)
+        return self._replace(
+            points3d=points, points3d_sd=sds, keypoints_seen=seen, outlier_probability=judged
+        )
 
     def frames(self, chosen: slice | NDArray[np.bool_]) -> "LiftedFrames":
         """Return some of the frames; of a slice, as views of the arrays."""

@@ -50,4 +50,6 @@ def without_unlikely(lift: LiftedFrames, usual: Float32) -> LiftedFrames:
     radius = np.sqrt(np.nansum(np.nanvar(usual, 0)))
     far = ~seen & (np.linalg.norm(off, axis=-1) > FURTHEST * radius)
     points[asked] = np.where(far[..., None], np.float32(np.nan), points[asked])
-    return lift._replace(points3d=points)
+    sds = lift.points3d_sd.copy()
+    sds[asked] = np.where(far, np.float32(np.nan), sds[asked])
+    return lift._replace(points3d=points, points3d_sd=sds)

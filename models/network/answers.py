@@ -37,6 +37,9 @@ class Answers(NamedTuple):
     # it was not observed or not judged. Above `OUTLIER` it is left out of the lift or, if left and
     # right were swapped, used in its partner's place.
     outlier_probability: Float32
+    # (N, P): expected distance from the true point, root mean square, in units of the structure;
+    # NaN where it is not known (see `models.posterior`).
+    points3d_sd: Float32
     findings: NDArray[np.uint8]  # (N,) sums of the bits below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the previous answer
     # The figures behind the findings:
@@ -78,6 +81,7 @@ def make_answers(frames: int, views: int, keypoints: int) -> Answers:
         keypoints_used=np.empty(per_view, np.int32),
         keypoints_seen=np.empty((frames, keypoints), np.uint8),
         outlier_probability=np.full((*per_view, keypoints), np.nan, np.float32),
+        points3d_sd=np.full((frames, keypoints), np.nan, np.float32),
         findings=np.empty(frames, np.uint8),
         continued=np.empty(frames, np.bool_),
         sizes=np.empty(frames, np.float32),

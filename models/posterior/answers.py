@@ -1,31 +1,36 @@
-"""Answers of lifts as the frames of a posterior."""
+"""Answers of lifts as the frames of a posterior; compiled."""
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Rig
-from models.bundle.shape_model import align
-from models.lifting.lift import LiftedFrames
-from models.network.answers import RIG_NOT_USED
-from models.optics.lenses.projection import Lenses, project
-from models.posterior.frames import Frames
+from models.network.answers import RIG_NOT_USED, Answers
+from models.numerics.compiled import compiled, inner
+from models.numerics.matrices import fill
+from models.numerics.rotations import nearest_rotation_into
+from models.numerics.threads import in_slices
+from models.optics.lenses.projection import project, project_into
+from models.posterior.frames import FRAMES_AT_A_TIME, Frames
 
 Float64 = NDArray[np.float64]
 
-# Student's t, as a keypoint counts less that lies further off than most; never more than one of
-# white noise.
+# Student's t: a keypoint that lies further off than most counts less. None counts for more than
+# one of white noise.
 FREEDOM = 4.0
+TINY = 1e-12
 
 
 def frames_of(
-    lift: LiftedFrames,
+    answers: Answers,
     rig: Rig,
     mean: Float64,
     keypoints: Float64,
     weights: Float64,
     noise: Float64,
 ) -> Frames:
-    """Return the frames of a lift that has perspective cameras, all its points being known.
+    """Return the frames of a lift with all its points; without a camera a view counts for nothing.
 
     Parameters
     ----------
@@ -38,53 +43,131 @@ def frames_of(
     noise
         (K, P) pixels, standard deviations of a coordinate of confidence 1.
     """
-    points = lift.points3d.astype(np.float64)
-    rotations = np.nan_to_num(lift.rotations.astype(np.float64))
-    translations = np.nan_to_num(lift.translations.astype(np.float64))
-    placed = lift.camera_models > 0  # (N, K)
-    apart = (lift.findings & RIG_NOT_USED).astype(bool)
-    joined = np.broadcast_to(rig.static, placed.shape) & ~apart[:, None]
-    growth = _growth(rotations, translations, placed & joined, rig)
-    weights = np.where(placed[..., None], weights, 0.0)
-    residuals = keypoints - reprojected(points, rotations, translations, rig.lenses)
-    squared = np.square(residuals).sum(-1) * weights / np.square(noise)
-    robust = ((FREEDOM + 2) / (FREEDOM + squared)).clip(max=1.0)
-    _, similarity = align(points, mean)
-    turned = similarity.rotations / similarity.scales[:, None, None]
-    return Frames(
-        np.ascontiguousarray(points),
-        np.ascontiguousarray(rotations),
-        np.ascontiguousarray(translations),
+    count, views, points = weights.shape
+    frames = Frames(
+        np.empty((count, points, 3)),
+        np.empty((count, views, 3, 3)),
+        np.empty((count, views, 3)),
         rig.lenses,
-        np.ascontiguousarray(joined),
-        np.ascontiguousarray(growth[:, None, None] * rig.translations),
-        growth,
-        np.ascontiguousarray(np.nan_to_num(keypoints)),
-        np.ascontiguousarray(np.where(weights > 0, robust * weights, 0.0) / np.square(noise)),
-        np.ascontiguousarray(turned),
+        np.empty((count, views), np.bool_),
+        np.empty((count, views, 3)),
+        np.empty(count),
+        np.ascontiguousarray(keypoints),
+        np.empty((count, views, points)),
+        np.empty((count, 3, 3)),
     )
+    given = np.ascontiguousarray(weights)
+    in_slices(
+        count,
+        FRAMES_AT_A_TIME,
+        lambda part: _fill(answers, rig, mean, given, noise, part.start, part.stop, frames),
+    )
+    return frames
 
 
-def reprojected(
-    points: Float64, rotations: Float64, translations: Float64, lenses: Lenses
-) -> Float64:
+def reprojected(frames: Frames, points: Float64) -> Float64:
     """Return the pixels (N, K, P, 2) of points (N, P, 3); any number without a camera."""
-    held = np.einsum("nkij,npj->nkpi", rotations, points) + translations[:, :, None]
+    held = points[:, None] @ frames.rotations.mT + frames.translations[:, :, None]
     held[..., 2] = np.where(held[..., 2] > 0, held[..., 2], 1.0)
-    return project(held, lenses)
+    return project(held, frames.lenses)
 
 
-def _growth(
-    rotations: Float64, translations: Float64, used: NDArray[np.bool_], rig: Rig
-) -> Float64:
-    """Return the units (N,) of each structure in a unit of the rig, from distances of cameras.
+@compiled
+def _fill(
+    answers: Answers,
+    rig: Rig,
+    mean: Float64,
+    given: Float64,
+    noise: Float64,
+    start: int,
+    stop: int,
+    out: Frames,
+) -> None:
+    views, count = noise.shape
+    members = np.zeros(len(rig.groups))
+    for k in range(views):
+        members[rig.groups[k]] += 1
+    for n in range(start, stop):
+        for p in range(count):
+            for i in range(3):
+                out.points[n, p, i] = answers.points3d[n, p, i]
+        apart = answers.findings[n] & RIG_NOT_USED
+        for k in range(views):
+            placed = answers.camera_models[n, k] > 0
+            out.joined[n, k] = placed and not apart and members[rig.groups[k]] > 1
+            for i in range(3):
+                out.translations[n, k, i] = answers.translations[n, k, i] if placed else 0.0
+                for j in range(3):
+                    out.rotations[n, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
+        out.growth[n] = _growth(out.rotations[n], out.translations[n], out.joined[n], rig)
+        for k in range(views):
+            for i in range(3):
+                out.offsets[n, k, i] = out.growth[n] * rig.translations[k, i]
+            for p in range(count):
+                w = given[n, k, p] / noise[k, p] ** 2
+                out.weights[n, k, p] = _weight(out, n, k, p, w) if w > 0 else 0.0
+        _turn_into(out.points[n], mean, out.turned[n])
+
+
+@inner
+def _weight(frames: Frames, n: int, k: int, p: int, weight: float) -> float:
+    """Return the weight of a keypoint, less where it lies far off; 0 without a camera."""
+    camera, pixel = np.empty(3), np.empty(2)
+    for i in range(3):
+        camera[i] = frames.translations[n, k, i]
+        for j in range(3):
+            camera[i] += frames.rotations[n, k, i, j] * frames.points[n, p, j]
+    if not camera[2] > 0:
+        return 0.0
+    project_into(camera, frames.lenses, k, pixel)
+    x, y = frames.keypoints[n, k, p, 0] - pixel[0], frames.keypoints[n, k, p, 1] - pixel[1]
+    robust: float = min((FREEDOM + 2) / (FREEDOM + weight * (x * x + y * y)), 1.0)
+    return weight * robust
+
+
+@inner
+def _growth(rotations: Float64, translations: Float64, used: NDArray[np.bool_], rig: Rig) -> float:
+    """Return the units of the structure in a unit of the rig, from distances of its cameras.
 
     1 where fewer than two cameras of the rig see a frame.
     """
-    centres = -np.einsum("nkji,nkj->nki", rotations, translations)
-    of_rig = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
-    weights = used[..., None] / used.sum(1).clip(1)[:, None, None]
-    spread = np.square(weights**0.5 * (centres - (weights * centres).sum(1, keepdims=True)))
-    spread_of_rig = np.square(weights**0.5 * (of_rig - (weights * of_rig).sum(1, keepdims=True)))
-    ours, theirs = spread.sum((1, 2)), spread_of_rig.sum((1, 2))
-    return np.where(theirs > 1e-12, np.sqrt(ours / theirs.clip(1e-12)), 1.0)
+    ours, theirs, first = 0.0, 0.0, -1
+    for k in range(len(used)):
+        if not used[k]:
+            continue
+        if first < 0:
+            first = k
+        for i in range(3):
+            here, there = 0.0, 0.0
+            for j in range(3):
+                here -= rotations[k, j, i] * translations[k, j]
+                here += rotations[first, j, i] * translations[first, j]
+                there -= rig.rotations[k, j, i] * rig.translations[k, j]
+                there += rig.rotations[first, j, i] * rig.translations[first, j]
+            ours += here * here
+            theirs += there * there
+    return math.sqrt(ours / theirs) if theirs > TINY else 1.0
+
+
+@inner
+def _turn_into(points: Float64, mean: Float64, out: Float64) -> None:
+    """Write scale times rotation from `mean` to the points, by least squares (Umeyama, 1991)."""
+    overlap, centre, middle, squared = np.empty((3, 3)), np.zeros(3), np.zeros(3), 0.0
+    for p in range(len(points)):
+        for i in range(3):
+            centre[i] += points[p, i] / len(points)
+            middle[i] += mean[p, i] / len(points)
+    fill(overlap, 0.0)
+    for p in range(len(points)):
+        for i in range(3):
+            squared += (mean[p, i] - middle[i]) ** 2
+            for j in range(3):
+                overlap[i, j] += (points[p, i] - centre[i]) * (mean[p, j] - middle[j])
+    nearest_rotation_into(overlap, out)
+    scale = 0.0
+    for i in range(3):
+        for j in range(3):
+            scale += out[i, j] * overlap[i, j] / max(squared, TINY)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] *= scale

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
-from models.optics.lenses.projection import Lenses, differentiate_into
+from models.optics.lenses.projection import Lenses, differentiate_into, project_into
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -54,25 +54,33 @@ class ShapeFactor(NamedTuple):
     variances: Float64  # (P,) eta^2
 
 
+class _Equations(NamedTuple):
+    """The equations of a point, R unknowns y of the frame, and T directions of the cameras."""
+
+    information: Float64  # (3, 3) A + 1 / eta^2
+    coupling: Float64  # (3, R) c
+    system: Float64  # (R, R) O, then H; its lower half
+    lasting: Float64  # (3, T) W L
+    coupled: Float64  # (R, T) of y and L
+
+
 class FrameCovariance(NamedTuple):
     """Covariances of P points: `own` in blocks, and what points share as modes M M^T."""
 
     own: Float64  # (P, 3, 3) V
     modes: Float64  # (P, 3, R) of y; the points' covariance given theta is V + M M^T
     by_cameras: Float64  # (P, 3, T) G L
-    poses_by_cameras: Float64  # (R, T) H^-1 times the coupling: how y follows, for scores
+    unknowns_by_cameras: Float64  # (R, T) how y follows L
 
 
 @inner
 def unknowns_of(cameras: FrameCameras, shapes: ShapeFactor) -> int:
     """Return R: numbers of the similarity if any view is joined, of z, and of other poses."""
-    apart, joined = 0, 0
-    for k in range(len(cameras.joined)):
-        if cameras.joined[k]:
-            joined = SIMILARITY
-        else:
-            apart += EXTRINSICS
-    return joined + shapes.columns.shape[2] + apart
+    size: int = _similarity_columns(cameras) + shapes.columns.shape[2]
+    for joined in cameras.joined:
+        if not joined:
+            size += EXTRINSICS
+    return size
 
 
 @inner
@@ -83,74 +91,103 @@ def covariance_of_frame(
 
     `views.weights` (K, P) are inverse variances, 0 where a keypoint is not used.
     """
-    count, size, shared = len(points), out.modes.shape[2], cameras.factor.shape[2]
-    system, coupled = np.zeros((size, size)), np.zeros((size, shared))
-    middle, radius = np.zeros(3), 0.0
-    for p in range(count):
-        for i in range(3):
-            middle[i] += points[p, i] / count
-    for p in range(count):
-        for i in range(3):
-            radius += (points[p, i] - middle[i]) ** 2 / count
-    for a in range(size):
-        system[a, a] = LEAST_PRECISION / radius
+    size, shared = out.modes.shape[2], cameras.factor.shape[2]
+    equations = _Equations(
+        np.empty((3, 3)),
+        np.empty((3, size)),
+        np.zeros((size, size)),
+        np.empty((3, shared)),
+        np.zeros((size, shared)),
+    )
     first = _similarity_columns(cameras)
-    for q in range(shapes.columns.shape[2]):
-        system[first + q, first + q] += 1.0
-    coupling, information = np.empty((3, size)), np.empty((3, 3))
-    lasting = np.empty((3, shared))
-    for p in range(count):
-        fill(coupling, 0.0)
-        fill(information, 0.0)
-        fill(lasting, 0.0)
-        _add_shape(points[p], middle, shapes, p, first, information, coupling, system)
+    middle = middle_of(points)
+    _begin(points, middle, first, shapes.columns.shape[2], equations.system)
+    for p in range(len(points)):
+        fill(equations.coupling, 0.0)
+        fill(equations.information, 0.0)
+        fill(equations.lasting, 0.0)
+        _add_shape(points[p], middle, shapes, p, first, equations)
         for k in range(len(cameras.joined)):
             if views.weights[k, p] > 0:
-                _add_keypoint(
-                    points[p], cameras, k, views.weights[k, p],
-                    information, coupling, system, lasting, coupled,
-                )  # fmt: skip
-        inverse_symmetric(information, 0.0, out.own[p])
-        for i in range(3):
-            for a in range(size):
-                out.modes[p, i, a] = 0.0
-                for j in range(3):
-                    out.modes[p, i, a] += out.own[p, i, j] * coupling[j, a]
-            for t in range(shared):
-                out.by_cameras[p, i, t] = 0.0
-                for j in range(3):
-                    out.by_cameras[p, i, t] -= out.own[p, i, j] * lasting[j, t]
-        for a in range(size):
-            for i in range(3):
-                for b in range(a + 1):
-                    system[a, b] -= coupling[i, a] * out.modes[p, i, b]
-                for t in range(shared):
-                    coupled[a, t] += coupling[i, a] * out.by_cameras[p, i, t]
-    if not cholesky(system):
-        fill(out.own, np.nan)
-        fill(out.modes, np.nan)
-        fill(out.by_cameras, np.nan)
-        fill(out.poses_by_cameras, np.nan)
+                _add_keypoint(points[p], cameras, k, views.weights[k, p], equations)
+        _eliminate(equations, out.own[p], out.modes[p], out.by_cameras[p])
+    if not cholesky(equations.system):
+        for array in (out.own, out.modes, out.by_cameras):
+            fill(array, np.nan)
         return False
+    _carry(equations, out)
+    return True
+
+
+@inner
+def middle_of(points: Float64) -> Float64:
+    """Return the mean (3,) of points (P, 3)."""
+    middle = np.zeros(3)
+    for p in range(len(points)):
+        for i in range(3):
+            middle[i] += points[p, i] / len(points)
+    return middle
+
+
+@inner
+def _begin(points: Float64, middle: Float64, first: int, count: int, system: Float64) -> None:
+    """Write what is known of y before any keypoint: z is white, all else hardly known."""
+    squared = 0.0
+    for p in range(len(points)):
+        for i in range(3):
+            squared += (points[p, i] - middle[i]) ** 2 / len(points)
+    for a in range(len(system)):
+        system[a, a] = LEAST_PRECISION / squared
+        if first <= a < first + count:
+            system[a, a] += 1.0
+
+
+@inner
+def _eliminate(equations: _Equations, own: Float64, modes: Float64, by_cameras: Float64) -> None:
+    """Take a point out of the equations; write V, V c and -V W."""
+    information, coupling, system, lasting, coupled = equations
+    size, shared = len(system), lasting.shape[1]
+    inverse_symmetric(information, 0.0, own)
+    for i in range(3):
+        for a in range(size):
+            modes[i, a] = 0.0
+            for j in range(3):
+                modes[i, a] += own[i, j] * coupling[j, a]
+        for t in range(shared):
+            by_cameras[i, t] = 0.0
+            for j in range(3):
+                by_cameras[i, t] -= own[i, j] * lasting[j, t]
+    for a in range(size):
+        for i in range(3):
+            for b in range(a + 1):
+                system[a, b] -= coupling[i, a] * modes[i, b]
+            for t in range(shared):
+                coupled[a, t] += coupling[i, a] * by_cameras[i, t]
+
+
+@inner
+def _carry(equations: _Equations, out: FrameCovariance) -> None:
+    """Let y follow the cameras, and points follow y; the system is factorised."""
+    system, coupled = equations.system, equations.coupled
+    size, shared = coupled.shape
     solved = np.empty(size)
     for t in range(shared):
         for a in range(size):
             solved[a] = coupled[a, t]
         cholesky_solve(system, solved)
         for a in range(size):
-            out.poses_by_cameras[a, t] = -solved[a]
-    for p in range(count):
+            out.unknowns_by_cameras[a, t] = -solved[a]
+    for p in range(len(out.own)):
         for i in range(3):
             row = out.modes[p, i]
-            for t in range(shared):
-                for a in range(size):
-                    out.by_cameras[p, i, t] -= row[a] * out.poses_by_cameras[a, t]
+            for a in range(size):
+                for t in range(shared):
+                    out.by_cameras[p, i, t] -= row[a] * out.unknowns_by_cameras[a, t]
             for a in range(size):  # from V c to V c L^-T
                 total = row[a]
                 for b in range(a):
                     total -= system[a, b] * row[b]
                 row[a] = total / system[a, a]
-    return True
 
 
 @inner
@@ -169,11 +206,10 @@ def _add_shape(
     shapes: ShapeFactor,
     p: int,
     first: int,
-    information: Float64,
-    coupling: Float64,
-    system: Float64,
+    equations: _Equations,
 ) -> None:
     """Add the factor of a point's shape: X - S(mu + B z) of variance eta^2 in each direction."""
+    information, coupling, system = equations.information, equations.coupling, equations.system
     weight, count = 1.0 / shapes.variances[p], shapes.columns.shape[2]
     columns = np.zeros((3, first + count))
     if first:
@@ -195,45 +231,48 @@ def _add_shape(
 
 @inner
 def _add_keypoint(
-    point: Float64,
-    cameras: FrameCameras,
-    k: int,
-    weight: float,
-    information: Float64,
-    coupling: Float64,
-    system: Float64,
-    lasting: Float64,
-    coupled: Float64,
+    point: Float64, cameras: FrameCameras, k: int, weight: float, equations: _Equations
 ) -> None:
     """Add the factor of a keypoint, by the point, the view's own pose, and the shared numbers."""
+    information, _, _, lasting, _ = equations
     by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
     differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
-    shared = lasting.shape[1]
-    by_shared = np.zeros((2, shared))
-    numbers = VIEW if cameras.joined[k] else LENS
+    by_shared = np.zeros((2, lasting.shape[1]))
     for a in range(2):
-        for number in range(numbers):
-            for t in range(shared):
+        for number in range(VIEW if cameras.joined[k] else LENS):
+            for t in range(lasting.shape[1]):
                 by_shared[a, t] += by_numbers[a, number] * cameras.factor[k, number, t]
-    for a in range(2):
         for i in range(3):
             left = weight * by_point[a, i]
             for j in range(3):
                 information[i, j] += left * by_point[a, j]
-            for t in range(shared):
+            for t in range(lasting.shape[1]):
                 lasting[i, t] += left * by_shared[a, t]
-    if cameras.joined[k]:
-        return
-    own = pose_columns(cameras, k, coupling.shape[1])
-    for a in range(2):
-        for number in range(EXTRINSICS):
-            by_pose = weight * by_numbers[a, LENS + number]
-            for i in range(3):
-                coupling[i, own + number] += by_pose * by_point[a, i]
-            for other in range(number + 1):
-                system[own + number, own + other] += by_pose * by_numbers[a, LENS + other]
-            for t in range(shared):
-                coupled[own + number, t] += by_pose * by_shared[a, t]
+        if not cameras.joined[k]:
+            _add_pose(
+                pose_columns(cameras, k, len(equations.system)),
+                weight, by_point[a], by_numbers[a], by_shared[a], equations,
+            )  # fmt: skip
+
+
+@inner
+def _add_pose(
+    own: int,
+    weight: float,
+    by_point: Float64,
+    by_numbers: Float64,
+    by_shared: Float64,
+    equations: _Equations,
+) -> None:
+    """Add a coordinate of a keypoint by the pose whose columns of y begin at `own`."""
+    for number in range(EXTRINSICS):
+        by_pose = weight * by_numbers[LENS + number]
+        for i in range(3):
+            equations.coupling[i, own + number] += by_pose * by_point[i]
+        for other in range(number + 1):
+            equations.system[own + number, own + other] += by_pose * by_numbers[LENS + other]
+        for t in range(len(by_shared)):
+            equations.coupled[own + number, t] += by_pose * by_shared[t]
 
 
 @inner
@@ -244,6 +283,17 @@ def pose_columns(cameras: FrameCameras, k: int, size: int) -> int:
         if not cameras.joined[other]:
             later += EXTRINSICS
     return size - later
+
+
+@inner
+def project_keypoint_into(point: Float64, cameras: FrameCameras, k: int, pixel: Float64) -> None:
+    """Write the pixel (2,) of a point in view k."""
+    camera = np.empty(3)
+    for i in range(3):
+        camera[i] = cameras.translations[k, i]
+        for j in range(3):
+            camera[i] += cameras.rotations[k, i, j] * point[j]
+    project_into(camera, cameras.lenses, k, pixel)
 
 
 @inner

@@ -4,6 +4,7 @@ An answer's place, direction and, where no rig gives it, size belong to its came
 structure. So they are projected out of its covariance.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
 from models.numerics.threads import in_slices
-from models.optics.lenses.projection import Lenses, project_into
+from models.optics.lenses.projection import Lenses
 from models.posterior.frame import (
     SIMILARITY,
     FrameCameras,
@@ -21,7 +22,9 @@ from models.posterior.frame import (
     ShapeFactor,
     covariance_of_frame,
     differentiate_keypoint_into,
+    middle_of,
     pose_columns,
+    project_keypoint_into,
     unknowns_of,
 )
 
@@ -47,7 +50,7 @@ class Frames(NamedTuple):
     turned: Float64  # (N, 3, 3) scale times rotation, from the shapes' mean to the answer
 
 
-class Shapes(NamedTuple):
+class ShapeModel(NamedTuple):
     """The shapes of a fit: x = mean + B z + e, e_p of variance eta^2 in each direction."""
 
     mean: Float64  # (P, 3)
@@ -63,27 +66,31 @@ class Covariances(NamedTuple):
     by_cameras: Float64  # (N, P, 3, T) of it, the part of the shared cameras
 
 
-def covariances_of(frames: Frames, shapes: Shapes, factor: Float64) -> Covariances:
+def covariances_of(
+    frames: Frames, shapes: ShapeModel, factor: Float64, *, modes: bool = True
+) -> Covariances:
     """Return the covariances of points, given the factor L (K, 11, T) of shared cameras.
 
-    Modes have the columns of each frame's unknowns, 0 where a frame has fewer.
+    Modes have the columns of each frame's unknowns, 0 where a frame has fewer. Without `modes`
+    these and the part of the cameras are those of no frames.
     """
-    count, views = frames.points.shape[:2], frames.joined.shape[1]
-    size = SIMILARITY + shapes.basis.shape[2] + EXTRINSICS * views
+    count, points, _ = frames.points.shape
+    size = SIMILARITY + shapes.basis.shape[2] + EXTRINSICS * frames.joined.shape[1]
+    some = count if modes else 0
     out = Covariances(
-        np.full((*count, 3, 3), np.nan),
-        np.zeros((*count, 3, size)),
-        np.zeros((*count, 3, factor.shape[2])),
+        np.full((count, points, 3, 3), np.nan),
+        np.zeros((some, points, 3, size)),
+        np.zeros((some, points, 3, factor.shape[2])),
     )
     in_slices(
-        len(frames.points),
+        count,
         FRAMES_AT_A_TIME,
         lambda part: _covariances(frames, shapes, factor, part.start, part.stop, out),
     )
     return out
 
 
-def scores_of(frames: Frames, shapes: Shapes) -> tuple[Float64, Float64]:
+def scores_of(frames: Frames, shapes: ShapeModel) -> tuple[Float64, Float64]:
     """Return the information (11 K, 11 K) on the shared numbers, and scores (N, P, 11 K).
 
     Each frame follows the shared numbers. A score is the part of the gradient of the log
@@ -114,7 +121,7 @@ def _cameras_of(frames: Frames, factor: Float64, n: int) -> FrameCameras:
 
 
 @inner
-def _shapes_of(frames: Frames, shapes: Shapes, n: int) -> ShapeFactor:
+def _shapes_of(frames: Frames, shapes: ShapeModel, n: int) -> ShapeFactor:
     """Turn and scale the basis, and scale the variances, as the answer is."""
     count, _, size = shapes.basis.shape
     turned, columns = frames.turned[n], np.zeros(shapes.basis.shape)
@@ -145,7 +152,12 @@ def _room_for(
 
 @compiled
 def _covariances(
-    frames: Frames, shapes: Shapes, factor: Float64, start: int, stop: int, out: Covariances
+    frames: Frames,
+    shapes: ShapeModel,
+    factor: Float64,
+    start: int,
+    stop: int,
+    out: Covariances,
 ) -> None:
     count, shared = frames.points.shape[1], factor.shape[2]
     for n in range(start, stop):
@@ -154,12 +166,12 @@ def _covariances(
         found = _room_for(cameras, shape, count, shared)
         if not covariance_of_frame(frames.points[n], cameras, views, shape, found):
             continue
-        sized = _rig_views(cameras, views) > 1
-        axes = _gauge(frames.points[n], SIMILARITY - 1 if sized else SIMILARITY)
+        size = SIMILARITY - 1 if _rig_views(cameras, views) > 1 else SIMILARITY
+        axes = _gauge(frames.points[n], size)
         _project(axes, found.modes)
         _project(axes, found.by_cameras)
         _write_blocks(axes, found, out.blocks[n])
-        for p in range(count):
+        for p in range(count if len(out.modes) else 0):
             for i in range(3):
                 for a in range(found.modes.shape[2]):
                     out.modes[n, p, i, a] = found.modes[p, i, a]
@@ -180,10 +192,7 @@ def _rig_views(cameras: FrameCameras, views: Views) -> int:
 @inner
 def _gauge(points: Float64, size: int) -> Float64:
     """Return orthonormal directions (size, P, 3) of translations, rotations and growth."""
-    count, middle = len(points), np.zeros(3)
-    for p in range(count):
-        for i in range(3):
-            middle[i] += points[p, i] / count
+    count, middle = len(points), middle_of(points)
     axes = np.zeros((size, count, 3))
     for p in range(count):
         x, y, z = points[p, 0] - middle[0], points[p, 1] - middle[1], points[p, 2] - middle[2]
@@ -194,22 +203,19 @@ def _gauge(points: Float64, size: int) -> Float64:
         axes[5, p, 0], axes[5, p, 1] = -y, x
         if size == SIMILARITY:
             axes[6, p, 0], axes[6, p, 1], axes[6, p, 2] = x, y, z
+    rows = axes.reshape(size, 3 * count)
     for a in range(size):  # Gram and Schmidt
         for b in range(a):
             along = 0.0
-            for p in range(count):
-                for i in range(3):
-                    along += axes[a, p, i] * axes[b, p, i]
-            for p in range(count):
-                for i in range(3):
-                    axes[a, p, i] -= along * axes[b, p, i]
+            for i in range(3 * count):
+                along += rows[a, i] * rows[b, i]
+            for i in range(3 * count):
+                rows[a, i] -= along * rows[b, i]
         squared = TINY
-        for p in range(count):
-            for i in range(3):
-                squared += axes[a, p, i] ** 2
-        for p in range(count):
-            for i in range(3):
-                axes[a, p, i] /= np.sqrt(squared)
+        for i in range(3 * count):
+            squared += rows[a, i] ** 2
+        for i in range(3 * count):
+            rows[a, i] /= math.sqrt(squared)
     return axes
 
 
@@ -233,25 +239,14 @@ def _project(axes: Float64, columns: Float64) -> None:
 @inner
 def _write_blocks(axes: Float64, found: FrameCovariance, blocks: Float64) -> None:
     """Write each point's covariance (P, 3, 3); `found` has projected modes."""
-    count, size = len(blocks), len(axes)
-    carried, middle = np.zeros((size, count, 3)), np.zeros((size, size))
-    for a in range(size):
-        for p in range(count):
-            for i in range(3):
-                for j in range(3):
-                    carried[a, p, i] += axes[a, p, j] * found.own[p, j, i]
-    for a in range(size):
-        for b in range(size):
-            for p in range(count):
-                for i in range(3):
-                    middle[a, b] += carried[a, p, i] * axes[b, p, i]
-    for p in range(count):
+    carried, middle = _carried_by(axes, found.own)
+    for p in range(len(blocks)):
         for i in range(3):
             for j in range(3):
                 block = found.own[p, i, j]
-                for a in range(size):
+                for a in range(len(axes)):
                     block -= axes[a, p, i] * carried[a, p, j] + carried[a, p, i] * axes[a, p, j]
-                    for b in range(size):
+                    for b in range(len(axes)):
                         block += axes[a, p, i] * middle[a, b] * axes[b, p, j]
                 for c in range(found.modes.shape[2]):
                     block += found.modes[p, i, c] * found.modes[p, j, c]
@@ -260,9 +255,29 @@ def _write_blocks(axes: Float64, found: FrameCovariance, blocks: Float64) -> Non
                 blocks[p, i, j] = block
 
 
+@inner
+def _carried_by(axes: Float64, own: Float64) -> tuple[Float64, Float64]:
+    """Return axes times blocks (A, P, 3), and that times the axes (A, A)."""
+    size, count, _ = axes.shape
+    carried, middle = np.zeros((size, count, 3)), np.zeros((size, size))
+    for a in range(size):
+        for p in range(count):
+            for i in range(3):
+                for j in range(3):
+                    carried[a, p, i] += axes[a, p, j] * own[p, j, i]
+                for b in range(size):
+                    middle[a, b] += carried[a, p, i] * axes[b, p, i]
+    return carried, middle
+
+
 @compiled
 def _scores(
-    frames: Frames, shapes: Shapes, start: int, stop: int, information: Float64, scores: Float64
+    frames: Frames,
+    shapes: ShapeModel,
+    start: int,
+    stop: int,
+    information: Float64,
+    scores: Float64,
 ) -> None:
     count, views = frames.points.shape[1], frames.joined.shape[1]
     numbers = VIEW * views
@@ -270,45 +285,49 @@ def _scores(
     for k in range(views):
         for number in range(VIEW):
             factor[k, number, VIEW * k + number] = 1.0
-    by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
-    camera, pixel, row = np.empty(3), np.empty(2), np.empty(numbers)
     for n in range(start, stop):
         cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
         seen = Views(frames.keypoints[n], frames.weights[n])
         found = _room_for(cameras, shape, count, numbers)
-        if not covariance_of_frame(frames.points[n], cameras, seen, shape, found):
-            continue
-        size = found.modes.shape[2]
-        for k in range(views):
-            own = pose_columns(cameras, k, size)
-            for p in range(count):
-                w = seen.weights[k, p]
-                if not w > 0:
-                    continue
-                point = frames.points[n, p]
-                differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
-                for i in range(3):
-                    camera[i] = cameras.translations[k, i]
-                    for j in range(3):
-                        camera[i] += cameras.rotations[k, i, j] * point[j]
-                project_into(camera, cameras.lenses, k, pixel)
-                for a in range(2):
-                    residual = seen.keypoints[k, p, a] - pixel[a]
-                    for t in range(numbers):
-                        row[t] = 0.0
-                        for i in range(3):
-                            row[t] += by_point[a, i] * found.by_cameras[p, i, t]
-                        if not cameras.joined[k]:
-                            for number in range(EXTRINSICS):
-                                by_pose = by_numbers[a, LENS + number]
-                                row[t] += by_pose * found.poses_by_cameras[own + number, t]
-                    free = VIEW if cameras.joined[k] else LENS
-                    for number in range(free):
-                        row[VIEW * k + number] += by_numbers[a, number]
-                    for t in range(numbers):
-                        scores[n, p, t] += w * residual * row[t]
-                    # The total derivative of the gradient by the shared numbers.
-                    for number in range(free):
-                        left = w * by_numbers[a, number]
-                        for t in range(numbers):
-                            information[n, VIEW * k + number, t] += left * row[t]
+        if covariance_of_frame(frames.points[n], cameras, seen, shape, found):
+            for k in range(views):
+                for p in range(count):
+                    if seen.weights[k, p] > 0:
+                        point = frames.points[n, p]
+                        _score(point, cameras, seen, found, k, p, information[n], scores[n, p])
+
+
+@inner
+def _score(
+    point: Float64,
+    cameras: FrameCameras,
+    seen: Views,
+    found: FrameCovariance,
+    k: int,
+    p: int,
+    information: Float64,
+    score: Float64,
+) -> None:
+    """Add what a keypoint says of the shared numbers, with the frame following them."""
+    by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
+    pixel, row, weight = np.empty(2), np.empty(len(score)), seen.weights[k, p]
+    differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
+    project_keypoint_into(point, cameras, k, pixel)
+    own, free = pose_columns(cameras, k, found.modes.shape[2]), LENS
+    if cameras.joined[k]:
+        free = VIEW
+    for a in range(2):
+        for t in range(len(score)):
+            row[t] = 0.0
+            for i in range(3):
+                row[t] += by_point[a, i] * found.by_cameras[p, i, t]
+            for number in range(VIEW - free):
+                by_pose = by_numbers[a, LENS + number]
+                row[t] += by_pose * found.unknowns_by_cameras[own + number, t]
+        for number in range(free):
+            row[VIEW * k + number] += by_numbers[a, number]
+        for t in range(len(score)):
+            score[t] += weight * (seen.keypoints[k, p, a] - pixel[a]) * row[t]
+            # The total derivative of the gradient by the shared numbers.
+            for number in range(free):
+                information[VIEW * k + number, t] += weight * by_numbers[a, number] * row[t]

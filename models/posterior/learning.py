@@ -1,15 +1,16 @@
 """What a fit learns of its own doubt: noise of its keypoints, shapes, and covariance of cameras."""
 
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import CENTRE_X, FOCAL, LENS, RADIAL, RADIAL_2, VIEW, Rig
 from models.calibrating.shape_evidence import Located, learn_shapes_of
-from models.lifting.lift import LiftedFrames
+from models.network.answers import Answers
 from models.posterior.answers import frames_of, reprojected
-from models.posterior.frames import Frames, Shapes, scores_of
+from models.posterior.frames import Frames, ShapeModel, covariances_of, scores_of
+from models.posterior.posterior import Posterior
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -25,7 +26,8 @@ HALF = 2 * np.log(2)  # median of the squared distance of white noise in two dir
 TINY = 1e-12
 LEFT = 1.579  # mean squared distance of white noise of variance 1, as far as it counts
 BLOCKS = 20  # of frames whose errors are independent
-MOST_FACTORS = 24
+MATTERS = 0.99  # of the variance of points by cameras, that few directions of these must make
+MOST_FACTORS = 8
 # Standard deviations without any keypoint, where the number is free: as in
 # `models.calibrating.lens_prior`, those of one kind of lens.
 LENS_SDS = {FOCAL: 0.5, RADIAL: 0.2, RADIAL_2: 0.07}
@@ -33,23 +35,15 @@ CENTRE_SD = 0.02  # of the longest side, twice the distance of the principal poi
 WIDEST = 1e3  # of rotations (radians) and translations (structures)
 
 
-class Learnt(NamedTuple):
-    """The posterior of the numbers that all frames of a fit share."""
-
-    shapes: Shapes
-    noise: Float64  # (K, P) pixels, of a coordinate of a keypoint of confidence 1
-    factor: Float64  # (K, 11, T) L, the covariance of the cameras' numbers is L L^T
-
-
-def learn(
-    lift: LiftedFrames,
+def learn_posterior(
+    answers: Answers,
     rig: Rig,
     mean: Float64,
     keypoints: Float64,
     weights: Float64,
     deviations: Float64,
-) -> Learnt:
-    """Learn from the frames of a fit and their lift, which has perspective cameras.
+) -> Posterior:
+    """Learn from the frames of a fit and their answers, which have perspective cameras.
 
     Parameters
     ----------
@@ -60,16 +54,17 @@ def learn(
     deviations
         (K, 11) standard deviations that the calibration gives to its numbers; 0 where held.
     """
-    weights = np.where((lift.camera_models > 0)[..., None], weights, 0.0)
-    noise = np.full(weights.shape[1:], _typical(lift, rig, keypoints, weights))
+    weights = np.where((answers.camera_models > 0)[..., None], weights, 0.0)
+    noise = np.full(weights.shape[1:], _typical(answers, rig, mean, keypoints, weights))
     for _ in range(ROUNDS):
-        frames = frames_of(lift, rig, mean, keypoints, weights, noise)
+        frames = frames_of(answers, rig, mean, keypoints, weights, noise)
         _, left, share = _triangulated(frames)
         noise = _noise(frames.weights * np.square(noise), left, share)
-    frames = frames_of(lift, rig, mean, keypoints, weights, noise)
+    frames = frames_of(answers, rig, mean, keypoints, weights, noise)
     shapes = _shapes(_triangulated(frames)[0])
-    frames = frames_of(lift, rig, shapes.mean, keypoints, weights, noise)
-    return Learnt(shapes, noise, camera_factor(frames, shapes, rig, deviations))
+    frames = frames_of(answers, rig, shapes.mean, keypoints, weights, noise)
+    factor = _that_matters(frames, shapes, camera_factor(frames, shapes, rig, deviations))
+    return Posterior(*shapes, noise, factor)
 
 
 def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
@@ -103,21 +98,30 @@ def _derivatives(frames: Frames) -> tuple[Float64, Float64]:
     """Return derivatives (N, K, P, 2, 3) of pixels by points, and the pixels (N, K, P, 2)."""
 
     def pixels_of(points: Float64) -> Float64:
-        return reprojected(points, frames.rotations, frames.translations, frames.lenses)
+        return reprojected(frames, points)
 
-    step = STEP * float(np.abs(frames.points).max())
-    sides = [
-        [pixels_of(frames.points + sign * step * axis) for sign in (1, -1)] for axis in np.eye(3)
-    ]
-    slopes = [(more - less) / (2 * step) for more, less in sides]
-    return np.stack(slopes, -1), pixels_of(frames.points)
+    return _slopes(pixels_of, frames.points), pixels_of(frames.points)
 
 
-def _shapes(located: Located) -> Shapes:
+def _slopes(pixels_of: Callable[[Float64], Float64], points: Float64) -> Float64:
+    """Return derivatives (..., 2, 3) of pixels (..., 2) by the coordinates of their points."""
+    step = STEP * float(np.abs(points).max())
+    return np.stack(
+        [
+            (pixels_of(points + step * axis) - pixels_of(points - step * axis)) / (2 * step)
+            for axis in np.eye(3)
+        ],
+        -1,
+    )
+
+
+def _shapes(located: Located) -> ShapeModel:
     """Learn shapes from points that keypoints alone locate."""
     learnt = learn_shapes_of(located)
     variances = learnt.left.trace(axis1=1, axis2=2) / 3 + LEAST_SPREAD**2
-    return Shapes(*(np.ascontiguousarray(part) for part in (learnt.mean, learnt.basis, variances)))
+    return ShapeModel(
+        *(np.ascontiguousarray(part) for part in (learnt.mean, learnt.basis, variances))
+    )
 
 
 def _noise(weights: Float64, left: Float64, share: Float64) -> Float64:
@@ -137,18 +141,16 @@ def _noise(weights: Float64, left: Float64, share: Float64) -> Float64:
     return np.asarray(np.sqrt(total.clip(LEAST_NOISE**2)))
 
 
-def _typical(lift: LiftedFrames, rig: Rig, keypoints: Float64, weights: Float64) -> float:
+def _typical(
+    answers: Answers, rig: Rig, mean: Float64, keypoints: Float64, weights: Float64
+) -> float:
     """Return the usual distance of keypoints from their reprojections, pixels a coordinate."""
-    points, rotations, translations = (
-        np.nan_to_num(array.astype(np.float64))
-        for array in (lift.points3d, lift.rotations, lift.translations)
-    )
-    pixels = reprojected(points, rotations, translations, rig.lenses)
-    off = np.square(keypoints - pixels).sum(-1) * weights
+    frames = frames_of(answers, rig, mean, keypoints, weights, np.ones(weights.shape[1:]))
+    off = np.square(keypoints - reprojected(frames, frames.points)).sum(-1) * weights
     return max(float(np.sqrt(np.median(off[weights > 0]) / HALF)), LEAST_NOISE)
 
 
-def camera_factor(frames: Frames, shapes: Shapes, rig: Rig, deviations: Float64) -> Float64:
+def camera_factor(frames: Frames, shapes: ShapeModel, rig: Rig, deviations: Float64) -> Float64:
     """Return L (K, 11, T): the covariance of cameras that errors which repeat leave (sandwich).
 
     Errors repeat within a keypoint and within a block of frames (Cameron, Gelbach and Miller,
@@ -181,11 +183,19 @@ def camera_factor(frames: Frames, shapes: Shapes, rig: Rig, deviations: Float64)
     factor = half @ (turns * np.sqrt(effects.clip(1.0)))
     if views == 2 and rig.static.all():
         factor = _with_lenses(factor, np.flatnonzero(free), deviations)
-    left, sizes, _ = np.linalg.svd(factor, full_matrices=False)
-    some = min(len(sizes), MOST_FACTORS)
-    whole = np.zeros((views * VIEW, some))
-    whole[free] = left[:, :some] * sizes[:some]
-    return np.ascontiguousarray(whole.reshape(views, VIEW, some))
+    whole = np.zeros((views * VIEW, factor.shape[1]))
+    whole[free] = factor
+    return np.ascontiguousarray(whole.reshape(views, VIEW, -1))
+
+
+def _that_matters(frames: Frames, shapes: ShapeModel, factor: Float64) -> Float64:
+    """Keep the few directions of a factor (K, 11, T) that move points."""
+    moved = covariances_of(frames, shapes, factor).by_cameras.reshape(-1, factor.shape[2])
+    moved = moved[np.isfinite(moved).all(1)]
+    values, vectors = np.linalg.eigh(moved.T @ moved)
+    kept = values[::-1].cumsum() < MATTERS * values.sum()
+    some = min(int(kept.sum()) + 1, MOST_FACTORS)
+    return np.ascontiguousarray(factor @ vectors[:, ::-1][:, :some])
 
 
 def _by_block(scores: Float64) -> Float64:
@@ -207,8 +217,8 @@ def _prior_precision(rig: Rig) -> Float64:
 def _with_lenses(factor: Float64, places: NDArray[np.int64], deviations: Float64) -> Float64:
     """Give the focal lengths of a pair the deviations of their own posterior.
 
-    Epipolar geometry hardly determines them; other evidence does. All else follows them as keypoints
-    demand. Their correlation is that of the keypoints.
+    Epipolar geometry hardly determines them; other evidence does. All else follows them as
+    keypoints demand. Their correlation is that of the keypoints.
     """
     lenses = np.flatnonzero(places % VIEW == FOCAL)
     if not len(lenses):

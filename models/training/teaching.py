@@ -36,8 +36,10 @@ from models.network.answers import Usual
 from models.network.priors.prior import Prior
 from models.network.settling import estimate_foreshortening
 from models.numerics.steps import Steps, finished
+from models.posterior.posterior import Posterior
 from models.settings.config import FitConfig
 from models.training.batches import Data
+from models.training.fit_posterior import posterior_of
 from models.training.known_structures import believe_where_better, known_structures
 from models.training.network_errors import learn_errors_of_network
 from models.training.state import TeachingState
@@ -167,6 +169,13 @@ class Teaching:
         """Return the usual range of the frames of the fit, with the present network."""
         return learn_usual(self._as_prior(None), self._data, self._unseen)
 
+    def posterior(self) -> Posterior | None:
+        """Learn how far answers may be off; None without perspective cameras."""
+        found, frames = self.self_calibration, self._frames_of_several_views(0).sort().values
+        if found is None or not len(frames):
+            return None
+        return posterior_of(found, self._as_prior(found), self._data, self._detected, frames)
+
     def _as_prior(
         self,
         self_calibration: SelfCalibration | None,
@@ -255,8 +264,7 @@ class Teaching:
             return None
         if result is None or self._removed_noise is None:
             return result
-        found, scene = result
-        noise, left = self._removed_noise
+        (found, scene), (noise, left) = result, self._removed_noise
         reason = f"{found.reason}; {noise:.3g} px of noise were removed"
         return replace(found, reason=reason, noise=max(found.noise, left)), scene
 

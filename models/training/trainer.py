@@ -210,7 +210,8 @@ class Trainer:
         if self.config.refine != "off" and prior.cameras is None:
             found = (*capture.findings, Finding.of("cameras_not_found"))
             capture = capture._replace(findings=found)
-        return prior.of_capture(self.config, capture, self._outliers, self._noise_removal)
+        learnt = self._outliers, self._noise_removal, attempt(self._teaching.posterior, None)
+        return prior.of_capture(self.config, capture, *learnt)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to continue, as safetensors bytes."""
@@ -226,13 +227,12 @@ class Trainer:
         return checkpoints.write(saved, config=self.config, data=self._fingerprint, known=known)
 
     def _restore(self, checkpoint: bytes) -> None:
-        frames, views, keypoints, _ = self._data.keypoints.shape
         saved = checkpoints.read(
             checkpoint,
             config=self.config,
             data=self._fingerprint,
             weights=len(self._learner.weights),
-            shape=(frames, views, keypoints),
+            shape=self._data.keypoints.shape[:3],
         )
         self._learner.resume(saved.weights, saved.moments)
         self._state, self._curve = saved.state, list(saved.curve)
