@@ -7,10 +7,17 @@ import time
 from pathlib import Path
 
 from service.cli import COMMANDS
+from tests import fork_server
 from tests.processes import free_port
+from worker.process import python
 
 
 def run(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    return fork_server.run(python("-m", "fewview.cli", *words), env=os.environ | environment)
+
+
+def run_script(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """Do the same from nothing, as users start it."""
     script = Path(sys.executable).with_name("fewview")
     return subprocess.run(
         [script, *words],
@@ -22,7 +29,7 @@ def run(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":
 
 
 def test_commands_are_listed_and_versions_said() -> None:
-    shown = run("--help")
+    shown = run_script("--help")
     assert shown.returncode == 0
     for command in COMMANDS:  # of the server
         assert f" {command} " in shown.stdout
@@ -60,7 +67,7 @@ def test_shells_complete_commands_and_options() -> None:
             "COMP_WORDS": " ".join(words),
             "COMP_CWORD": str(len(words) - 1),
         }
-        return run(**asked).stdout.split()
+        return run_script(**asked).stdout.split()
 
     assert completed("fewview", "da") == ["datasets"]
     assert "delete" in completed("fewview", "fits", "de")

@@ -144,7 +144,7 @@ def test_a_fit_is_followed_through_breaks_and_without_events(served: Served, lin
         del line.asked[:]
         heard: list[Fit] = []
         with Client(line.url, patience=0) as client:
-            fit = client.fits.create(served.dataset, **CONFIG)
+            fit = client.fits.create(served.dataset, **CONFIG, refine="off")
             done = client.fits.wait(fit, on_progress=heard.append)
         assert heard[-1] == done
         assert done.model_id is not None

@@ -24,6 +24,7 @@ from store.database import Store
 from store.datasets import CaptureDescription
 from store.lift_files import result_file
 from store.records import DatasetRecord, FitRecord, LiftChunk, LiftRecord, ModelRecord
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from tests.worker.conftest import (
     CONFIG,
@@ -197,7 +198,7 @@ def test_workers_share_the_chunks(
     assert all(worker.poll() is None for worker in workers)
 
 
-@pytest.mark.parametrize("whom", ["horse", "worker"])
+@pytest.mark.parametrize("whom", thorough_after(1, ["worker", "horse"]))
 def test_who_is_killed_loses_one_chunk_and_nothing_is_done_twice(
     store: Store,
     make_lift: MakeLift,
@@ -271,7 +272,7 @@ def test_cancelling_frees_the_worker_and_leaves_nothing(
 def test_a_frozen_helper_loses_its_chunk(
     store: Store, settings: WorkerSettings, make_lift: MakeLift, start_worker: StartWorker
 ) -> None:
-    lift = make_lift(refine="full")
+    lift = make_lift(20 * CHUNK, refine="full")
     frozen = start_worker()
     wait_for_chunks(store, lift, 2)
     horse = work_horse(frozen)

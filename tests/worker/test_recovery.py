@@ -42,7 +42,7 @@ from tests.worker.conftest import (
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
-SLOW = CONFIG | {"steps": 500, "refine": "off"}
+SLOW = CONFIG | {"steps": 300, "refine": "off"}
 BRIEF = CONFIG | {"steps": 2, "refine": "off"}
 
 
@@ -80,7 +80,7 @@ def test_the_worker_is_killed(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 100)
+    wait_for_step(store, queued.id, 60)
     wait_for(
         lambda: lookup.get(store, FitRecord, queued.id).checkpoint_key is not None, "a checkpoint"
     )
@@ -96,12 +96,13 @@ def test_the_work_horse_is_killed(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 100)
+    wait_for_step(store, queued.id, 60)
     kill(work_horse(worker))
     assert_as_if_nothing_had_happened(store, queued, undisturbed)
     assert worker.poll() is None
 
 
+@pytest.mark.thorough
 def test_the_work_horse_is_killed_while_it_seeks_the_cameras(
     store: Store, redis: Redis, dataset_id: str, fit_here: FitHere, start_worker: StartWorker
 ) -> None:
@@ -152,7 +153,7 @@ def test_the_worker_gets_sigterm(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     worker = start_worker()
-    wait_for_step(store, queued.id, 100)
+    wait_for_step(store, queued.id, 60)
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(10) == 0
     record = lookup.get(store, FitRecord, queued.id)
@@ -165,7 +166,7 @@ def test_a_frozen_worker_wakes_up_to_find_its_fit_taken(
     store: Store, queued: FitRecord, undisturbed: bytes, start_worker: StartWorker
 ) -> None:
     frozen = start_worker()
-    wait_for_step(store, queued.id, 100)
+    wait_for_step(store, queued.id, 60)
     horse = work_horse(frozen)
     freeze(store, queued, frozen.pid, horse)
     start_worker()
@@ -217,7 +218,7 @@ def test_redis_dies_under_a_running_fit(
     environment = settings.model_copy(update={"redis_url": url}).to_environment()
     worker = Popen(tied("-m", "service.cli", "worker"), env=os.environ | environment)
     try:
-        wait_for_step(store, fit.id, 100)
+        wait_for_step(store, fit.id, 60)
         server.terminate()
         server = ValkeyServer(
             port=port, data_dir=tmp_path / "valkey", persist=True, appendonly="yes"

@@ -26,6 +26,7 @@ from store.errors import InputError
 from store.records import Delivery, FitRecord
 from tests.deployments import on_every_deployment
 from tests.processes import descendants, processes
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, StartWorker
 from worker.addresses import is_public
@@ -256,14 +257,17 @@ def test_nothing_is_sent_once_the_key_is_not_in_force(
 
 @pytest.mark.parametrize(
     "host",
-    [
-        "127.0.0.1",
-        "localhost",
-        "127.1",
-        "0x7f000001",
-        "[::ffff:127.0.0.1]",
-        "0.0.0.0",  # noqa: S104 (nothing listens on it)
-    ],
+    thorough_after(
+        2,
+        [
+            "localhost",
+            "127.1",
+            "127.0.0.1",
+            "0x7f000001",
+            "[::ffff:127.0.0.1]",
+            "0.0.0.0",  # noqa: S104 (nothing listens on it)
+        ],
+    ),
 )
 def test_nothing_is_sent_to_private_addresses(
     receiver: Receiver, store: Store, settings: WorkerSettings, dataset_id: str, host: str

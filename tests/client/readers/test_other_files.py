@@ -148,7 +148,7 @@ def test_zip_files_cannot_nest_folders_without_end(tmp_path: Path) -> None:
         fewview.read(path)
 
 
-@pytest.mark.parametrize("count", [60_000, 300_000])
+@pytest.mark.parametrize("count", [20_000, 70_000])
 def test_tables_of_very_many_columns_take_no_time(count: int, tmp_path: Path) -> None:
     """They are read, or refused for their count; in step with their columns, not their square."""
     header = ",".join(["frame", *(f"k{n}_{axis}" for n in range(count // 2) for axis in "xy")])
@@ -156,7 +156,7 @@ def test_tables_of_very_many_columns_take_no_time(count: int, tmp_path: Path) ->
     path = tmp_path / "wide.csv"
     path.write_text("\n".join([header, f"0,{row}", f"1,{row}"]))
     if count > 2**16:
-        with pytest.raises(FormatError, match="has 300,001 columns, more than the 65,536"):
+        with pytest.raises(FormatError, match="has 70,001 columns, more than the 65,536"):
             fewview.read(path)
     else:
         assert fewview.read([path, path]).keypoints.shape == (2, 2, count // 2, 2)

@@ -40,6 +40,7 @@ from tests.models.bundle.problems import (
     whitened,
     without_components,
 )
+from tests.tiers import thorough_after
 
 
 @pytest.mark.parametrize("outliers", [False, True])
@@ -149,7 +150,7 @@ def test_eliminating_the_points_first_solves_the_dense_equations(damping: float)
         np.testing.assert_allclose(points, expected[: 3 * POINTS], rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("outliers", [False, True])
+@pytest.mark.parametrize("outliers", thorough_after(1, [True, False]))
 def test_refined_frames_are_where_scipy_finds_the_optimum(*, outliers: bool) -> None:
     problem = make(outliers=outliers)
     scene, costs = adjust_frames(

@@ -9,6 +9,7 @@ from models.calibrating.self_calibration import self_calibrate, task_of
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, Lens, RigCapture, make_rig_capture
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 
@@ -40,11 +41,14 @@ def check(capture: RigCapture, focals: Float64, arrangement: str = "moving") -> 
 
 @pytest.mark.parametrize(
     ("focal", "noise", "azimuths"),
-    [
-        (2800.0, 3.0, [0.0, 90.0]),
-        (700.0, 12.0, [0.0, 90.0]),
-        (2800.0, 6.0, [0.0, 80.0, -120.0]),
-    ],
+    thorough_after(
+        1,
+        [
+            (2800.0, 3.0, [0.0, 90.0]),
+            (700.0, 12.0, [0.0, 90.0]),
+            (2800.0, 6.0, [0.0, 80.0, -120.0]),
+        ],
+    ),
 )
 def test_moving_cameras_have_the_focal_length_under_which_shapes_are_alike(
     focal: float, noise: float, azimuths: list[float]
@@ -59,6 +63,7 @@ def test_moving_cameras_have_the_focal_length_under_which_shapes_are_alike(
     check(capture, np.full(len(azimuths), focal))
 
 
+@pytest.mark.thorough
 def test_unlike_lenses_of_moving_cameras_are_found() -> None:
     focals = [900.0, 2400.0, 1500.0]
     capture = make_rig_capture(
@@ -79,10 +84,13 @@ def test_a_moving_camera_has_a_lens_of_its_own_beside_static_ones() -> None:
 
 @pytest.mark.parametrize(
     ("focals", "noise"),
-    [
-        ([900.0, 2400.0, 1500.0], 40.0),  # too much noise for any lens to be found
-        ([900.0, 2400.0], 1.0),
-    ],
+    thorough_after(
+        1,
+        [
+            ([900.0, 2400.0], 1.0),
+            ([900.0, 2400.0, 1500.0], 40.0),  # too much noise for any lens to be found
+        ],
+    ),
 )
 def test_deviations_cover_what_noise_and_models_of_shapes_do_to_lenses(
     focals: list[float], noise: float

@@ -17,6 +17,7 @@ from models.calibrating.shape_evidence import (
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import FOCAL, IMAGE_SIZE, Lens, around
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 FRAMES, KEYPOINTS = 80, 14
@@ -67,7 +68,7 @@ def evidence_along(
     return np.array([place.at[0] for place in walk.places]), np.array(evidence)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", thorough_after(1, range(3)))
 def test_of_a_linear_shape_model_it_has_one_peak_without_steps(seed: int) -> None:
     rng = np.random.default_rng(seed)
     commons, evidence = evidence_along(turned(linear_shapes(rng), rng), None, 2.0, seed)
@@ -77,7 +78,7 @@ def test_of_a_linear_shape_model_it_has_one_peak_without_steps(seed: int) -> Non
     assert abs(commons[top] - TRUTH) < 0.15
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", thorough_after(1, range(3)))
 def test_of_a_linear_shape_model_it_peaks_at_the_truth(seed: int) -> None:
     """Within three of its own standard deviations, as curvature gives them."""
     rng = np.random.default_rng(seed)

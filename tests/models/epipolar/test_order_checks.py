@@ -9,6 +9,7 @@ from models.capture.synthetic import KEYPOINT_NAMES, synthetic_capture
 from models.epipolar.order_checks import order_findings
 from models.findings.finding import Finding
 from tests.models.rigs import make_rig_capture
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 FRAMES = 100
@@ -40,13 +41,13 @@ def frames_of(finding: Finding) -> NDArray[np.bool_]:
     return mask
 
 
-@pytest.mark.parametrize("noise", [0.0, 5.0, 15.0])
+@pytest.mark.parametrize("noise", thorough_after(1, [5.0, 0.0, 15.0]))
 def test_captures_in_order_have_no_findings(noise: float) -> None:
     assert not found_in(capture(noise=noise))
     assert not found_in(capture(views=2, noise=noise))
 
 
-@pytest.mark.parametrize("views", [2, 3])
+@pytest.mark.parametrize("views", thorough_after(1, [2, 3]))
 def test_moving_cameras_have_no_findings(views: int) -> None:
     moving = synthetic_capture(frames=FRAMES, views=views, noise=1, seed=1)
     assert not order_findings(moving.keypoints, moving.confidence)
@@ -54,7 +55,7 @@ def test_moving_cameras_have_no_findings(views: int) -> None:
     assert not found_in(one.keypoints)
 
 
-@pytest.mark.parametrize(("views", "noise"), [(2, 1.0), (3, 1.0), (4, 10.0)])
+@pytest.mark.parametrize(("views", "noise"), thorough_after(2, [(2, 1.0), (3, 1.0), (4, 10.0)]))
 def test_views_that_changed_places_in_a_run_of_frames(views: int, noise: float) -> None:
     keypoints = capture(views=views, noise=noise)
     swapped = slice(60, 95)
@@ -105,7 +106,7 @@ def bumped(degrees: float, noise: float) -> Float64:
     return keypoints
 
 
-@pytest.mark.parametrize("ends", [30, 45, 70])
+@pytest.mark.parametrize("ends", thorough_after(1, [30, 45, 70]))
 def test_a_camera_that_was_bumped_while_another_had_ended(ends: int) -> None:
     keypoints = bumped(4.0, 1.0)
     keypoints[ends:, 2] = np.nan
@@ -115,7 +116,7 @@ def test_a_camera_that_was_bumped_while_another_had_ended(ends: int) -> None:
     assert abs(finding.frames[0][0] - 55) <= 1
 
 
-@pytest.mark.parametrize(("degrees", "noise"), [(2.0, 1.0), (8.0, 5.0)])
+@pytest.mark.parametrize(("degrees", "noise"), thorough_after(1, [(2.0, 1.0), (8.0, 5.0)]))
 def test_a_camera_that_was_bumped(degrees: float, noise: float) -> None:
     keypoints = bumped(degrees, noise)
     (finding,) = found_in(keypoints)

@@ -1,6 +1,7 @@
 """Static rigs from keypoints alone, against cameras that are known exactly."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
@@ -110,6 +111,7 @@ def test_clear_keypoints_give_exact_cameras() -> None:
     assert rotation_errors(capture, found, [0, 1, 2]).max() < 0.2
 
 
+@pytest.mark.thorough
 def test_motion_beyond_noise_is_seen() -> None:
     """Cameras that shake are distinguished from static ones with noisy keypoints."""
     static = found_in(make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=6.0))
@@ -123,6 +125,7 @@ def test_motion_beyond_noise_is_seen() -> None:
     assert moving is None or moving.static.sum() == 2
 
 
+@pytest.mark.thorough
 def test_equal_keypoints_give_equal_rigs() -> None:
     capture = make_rig_capture([0.0, 80.0], frames=40)
     first, second = found_in(capture), found_in(capture)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_at
 from tests.models.rigs import make_rig_capture
 from tests.models.walk import film
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 FRAMES = 240
@@ -24,7 +25,7 @@ def timing_of(keypoints: Float64, reach: int = 12) -> Timing | None:
     return find_timing(keypoints, seen.astype(np.float64), reach=reach)
 
 
-@pytest.mark.parametrize("late", [1.0, 7.0, -10.0, 0.5, 3.3])
+@pytest.mark.parametrize("late", thorough_after(2, [7.0, 3.3, 1.0, -10.0, 0.5]))
 def test_a_late_view_is_found(late: float) -> None:
     found = timing_of(film(RING, late_by(0, late, 0)))
     assert found is not None
@@ -56,6 +57,7 @@ def test_noise_gaps_and_outliers() -> None:
         assert 0 < found.sds[2] < near
 
 
+@pytest.mark.thorough
 def test_the_standard_deviation_is_true() -> None:
     z = []
     for seed in range(8):
@@ -74,7 +76,7 @@ def test_views_in_step_are_left_alone() -> None:
         assert (found.offsets == 0).all()
 
 
-@pytest.mark.parametrize("frames", [slice(0, 30), slice(220, 240), slice(0, 0)])
+@pytest.mark.parametrize("frames", thorough_after(1, [slice(0, 30), slice(220, 240), slice(0, 0)]))
 def test_a_view_that_shows_little_is_not_late_and_hides_no_other(frames: slice) -> None:
     for late in (0.0, 5.0):
         keypoints = film([*RING, 250], late_by(0, late, 0, 0), noise=1.0)
@@ -140,8 +142,10 @@ def test_films_are_distinguished_from_shuffled_frames() -> None:
     assert not is_film(keypoints[:10])
 
 
-@pytest.mark.parametrize("late", [(0, 12, 0, -12), (0, 10, 3, 0), (0, -12, 12, 5)])
-def test_short_captures_with_gaps_hardly_determine_offsets(late: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    "late", thorough_after(1, [[0, 12, 0, -12], [0, 10, 3, 0], [0, -12, 12, 5]])
+)
+def test_short_captures_with_gaps_hardly_determine_offsets(late: list[int]) -> None:
     """Views so late leave so few frames that no uncertainty can be estimated."""
     rng = np.random.default_rng(0)
     moments = np.arange(20.0, 70)[:, None] - np.array(late)

@@ -321,6 +321,7 @@ def test_files_of_strangers_are_not_imported(
     assert read_apart(tmp_path, ["numpy.py"], ReadingOptions(), max_bytes=2**20).frames == 12
 
 
+@pytest.mark.thorough
 def test_large_arrays_lie_in_the_folder_of_the_upload(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -115,7 +115,7 @@ class StandingStill(runner.JobWorker):
 runner.JobWorker = StandingStill
 runner.run(WorkerSettings())
 """
-SEEN_SECONDS = 6  # in which a worker that does its work is seen to
+SEEN_SECONDS = 4  # in which a worker that does its work is seen to
 
 
 @pytest.mark.parametrize("code", [RESTARTING, FAILING, STANDING_STILL])
@@ -138,7 +138,7 @@ def test_workers_that_do_no_work_are_noticed(
             wait_for(lambda: Worker.count(connection=redis), "the worker")
             ends = time.monotonic() + SEEN_SECONDS
             while time.monotonic() < ends:
-                time.sleep(0.05)
+                time.sleep(0.2)
                 ready = client.get("/health/ready")
                 if code == FAILING:  # its job is done all the same
                     assert ready.status_code == 503 or ready.json()["workers"] == 0

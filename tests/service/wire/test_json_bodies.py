@@ -25,6 +25,7 @@ from tests.service.conftest import (
     to_npz,
 )
 from tests.service.test_bad_input import FRAME, KEYPOINTS
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 
 LARGE = b" " * MIB  # makes any body large
@@ -193,7 +194,7 @@ def test_long_arrays_are_the_same_to_the_last_bit(live: Live) -> None:
 
 
 @pytest.mark.parametrize("place", [2500, -1])
-@pytest.mark.parametrize("wrong", [[[1]], "x", 1, {}, [None, [[1, 2]] * 17]])
+@pytest.mark.parametrize("wrong", thorough_after(2, [[[1]], "x", 1, {}, [None, [[1, 2]] * 17]]))
 def test_a_wrong_frame_is_named(live: Live, place: int, wrong: Any) -> None:
     frames: list[Any] = NUMBERS[:3000].tolist()
     frames[place] = wrong

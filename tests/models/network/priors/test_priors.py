@@ -196,6 +196,7 @@ assert stats.cache_hits and not stats.cache_misses, stats
     subprocess.run([sys.executable, "-c", code], input=prior.to_bytes(), check=True)
 
 
+@pytest.mark.thorough
 @every_prior
 def test_a_fit_resumes_bit_for_bit(config: FitConfig, capture: SyntheticCapture) -> None:
     keypoints = capture.keypoints[:30, :3]
