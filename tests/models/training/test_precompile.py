@@ -19,6 +19,9 @@ from models.training.trainer import Trainer, fit
 from tests.sharing import made_once
 from worker.process import python
 
+# A fit that compiles is slow, and right. Of lifts, tests of priors see that they compile nothing.
+pytestmark = pytest.mark.thorough
+
 MODES: tuple[Refine, ...] = ("auto", "full", "off")
 # Run in one process, which imports torch and Numba once and forks one more for each part. It is
 # started from nothing: what tests fork otherwise has everything as machine code.
