@@ -9,11 +9,13 @@ import pytest
 def thorough_after(kept: int, cases: Iterable[Any]) -> list[Any]:
     """Return values of a test's parameter, of which `make test` takes the first few alone.
 
-    Each is a value, or a tuple where the test has several parameters.
+    Each is a value, or a tuple of the values of several parameters; a tuple of one parameter is in
+    another.
     """
-    return [case if number < kept else _thorough(case) for number, case in enumerate(cases)]
-
-
-def _thorough(case: Any) -> Any:
-    values = case if isinstance(case, tuple) else (case,)
-    return pytest.param(*values, marks=pytest.mark.thorough)
+    return [
+        pytest.param(
+            *(case if isinstance(case, tuple) else (case,)),
+            marks=() if number < kept else pytest.mark.thorough,
+        )
+        for number, case in enumerate(cases)
+    ]

@@ -119,7 +119,7 @@ class Reader:
 
 
 @pytest.mark.parametrize(
-    "name", thorough_after(2, ["sleap", "openpose", "deeplabcut", "capture-software"])
+    "name", thorough_after(1, ["sleap", "openpose", "deeplabcut", "capture-software"])
 )
 def test_a_tutorial_works_as_it_is_written(name: str, tmp_path: Path) -> None:
     with ExitStack() as stack:

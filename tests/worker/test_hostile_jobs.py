@@ -8,6 +8,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, cast
 
+import pytest
 from redis import Redis
 from rq import Queue, Worker
 from rq.job import Job, Retry
@@ -19,6 +20,7 @@ from store.records import FitRecord, LiftRecord
 from tests.deployments import scaled_is_thorough
 from tests.fork_server import run
 from tests.processes import tied
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, StartWorker, queue
 from tests.worker.test_plain_data import BOMBS, MOST_MEMORY, circular, deep, shared
@@ -42,11 +44,11 @@ ARGUMENTS: dict[str, Any] = {
     "many numbers": list(range(100_000)),
 }
 PLACES: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "dataset_id": lambda value: {"dataset_id": value},
     "config": lambda value: {"config": BRIEF | {"seed": value}},
+    "metadata": lambda value: {"metadata": {"a": value}},
+    "dataset_id": lambda value: {"dataset_id": value},
     "name": lambda value: {"name": value},
     "tags": lambda value: {"tags": [value]},
-    "metadata": lambda value: {"metadata": {"a": value}},
 }
 Spoil = Callable[[Redis, Job], Any]
 
@@ -122,8 +124,9 @@ def names_of_workers(redis: Redis) -> list[str]:
 
 
 @scaled_is_thorough
+@pytest.mark.parametrize("place", thorough_after(2, PLACES))
 def test_a_hostile_job_fails_alone(
-    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker
+    store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker, place: str
 ) -> None:
     queue = Queue("fits", connection=redis)
     start_worker()
@@ -131,11 +134,10 @@ def test_a_hostile_job_fails_alone(
     started = names_of_workers(redis)
     asked = {}
     for name, value in ARGUMENTS.items():
-        for place, put in PLACES.items():
-            arguments = {"dataset_id": dataset_id, "config": BRIEF} | put(value)
-            asked[f"{place}: {name}"] = queue.enqueue(
-                "worker.jobs.fit", kwargs=arguments, description="which RQ would make of them"
-            )
+        arguments = {"dataset_id": dataset_id, "config": BRIEF} | PLACES[place](value)
+        asked[f"{place}: {name}"] = queue.enqueue(
+            "worker.jobs.fit", kwargs=arguments, description="which RQ would make of them"
+        )
     good = queue.enqueue("worker.jobs.fit", dataset_id=dataset_id, config=BRIEF)
     wait_for(lambda: bool(good.is_finished), "the job behind them to succeed")
     assert names_of_workers(redis) == started  # it did not have to begin anew

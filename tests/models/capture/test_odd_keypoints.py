@@ -4,6 +4,7 @@ import logging
 from logging.handlers import BufferingHandler
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -69,6 +70,7 @@ def test_a_late_view_is_never_read_where_it_showed_nothing(
     np.testing.assert_array_equal(read[:, 0], keypoints[:, 0])
 
 
+@pytest.mark.thorough
 @settings(bounded, max_examples=30)  # one takes up to half a second
 @given(films())
 def test_no_check_fails(keypoints: Float32) -> None:

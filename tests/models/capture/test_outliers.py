@@ -25,6 +25,7 @@ from models.settings.config import FitConfig
 from models.settings.keypoints import OUTLIER
 from models.training.trainer import fit
 from tests.models.rigs import Float64
+from tests.tiers import thorough_after
 
 Bool = NDArray[np.bool_]
 
@@ -191,7 +192,7 @@ def expected_in_frame(model: OutlierModel, pixels: Float64) -> Float64:
 
 
 @pytest.mark.filterwarnings("ignore:All-NaN slice")
-@pytest.mark.parametrize("views", [(0, 1, 2), (2, 0)])
+@pytest.mark.parametrize("views", thorough_after(1, [((0, 1, 2),), ((2, 0),)]))
 def test_probabilities_are_those_of_the_model(
     model: OutlierModel, harmed: Harmed, clean: Float64, views: tuple[int, ...]
 ) -> None:

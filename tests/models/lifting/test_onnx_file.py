@@ -62,7 +62,7 @@ PRIORS: dict[str, Callable[[], FittedPrior]] = {
 }
 
 
-@pytest.mark.parametrize("name", thorough_after(2, PRIORS))
+@pytest.mark.parametrize("name", thorough_after(1, PRIORS))
 def test_onnx_answers_as_lifts_do(name: str) -> None:
     prior = PRIORS[name]()
     file = onnx_file(prior)

@@ -96,6 +96,7 @@ def test_of_two_processes_one_compiles_and_the_other_waits(folder: Path) -> None
         assert sorted(answer.result() for answer in answers) == [(42.0, 0), (42.0, 1)]
 
 
+@pytest.mark.thorough
 def test_machine_code_of_the_last_versions_alone_is_kept(folder: Path) -> None:
     for number in range(KEPT_VERSIONS + 2):
         (folder / "models/numerics/called.py").write_text(CALLED.replace("2.0", f"{number}.0"))

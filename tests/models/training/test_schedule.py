@@ -139,13 +139,13 @@ def test_a_fit_whose_time_is_over_when_teachers_are_due_notes_no_step_twice(
 
 def test_a_fit_that_learns_nothing_more_ends_early() -> None:
     rigid = synthetic_capture(frames=2, views=3, seed=5).keypoints[:1].repeat(220, 0)
-    config = QUICK.model_copy(update={"steps": 400, "early_stopping": True})
+    config = QUICK.model_copy(update={"steps": 400, "early_stopping": True, "refine": "off"})
     seen: list[Progress] = []
     fit(rigid, config, on_progress=seen.append)
     assert seen[-1].stopped_by == "early"
     assert seen[-1].step == seen[-1].steps < 400
     through: list[Progress] = []
-    patient = config.model_copy(update={"early_stopping": False, "refine": "off"})
+    patient = config.model_copy(update={"early_stopping": False})
     fit(rigid, patient, on_progress=through.append)
     assert (through[-1].stopped_by, through[-1].step) == ("steps", 400)
 

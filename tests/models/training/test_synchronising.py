@@ -129,6 +129,7 @@ def test_the_prior_keeps_clocks_and_findings() -> None:
         assert "views_out_of_step" in [finding.code for finding in found.findings]
 
 
+@pytest.mark.thorough
 def test_a_fit_of_a_late_view_is_that_of_the_view_in_step() -> None:
     mended = fit(filmed(0, 4, 0)[4:-4], QUICK, times=TIMES[4:-4])
     in_step = fit(put_in_step(filmed(0, 4, 0)[4:-4], None, TIMES[4:-4], "auto").keypoints, QUICK)

@@ -12,6 +12,7 @@ from models.settings.config import FitConfig, Refine
 from models.training.teachers import Teachers, find_teachers
 from models.training.trainer import Trainer, fit
 from models.training.virtual_views import virtual_views
+from tests.tiers import thorough_after
 
 Tensor = torch.Tensor
 
@@ -40,7 +41,9 @@ def _teachers(keypoints: Tensor, weights: Tensor, *, most: int = 50) -> Teachers
     return found
 
 
-@pytest.mark.parametrize(("refine", "frames", "steps"), [("off", 400, 600), ("auto", 150, 300)])
+@pytest.mark.parametrize(
+    ("refine", "frames", "steps"), thorough_after(1, [("off", 400, 600), ("auto", 150, 300)])
+)
 def test_frames_with_one_view_learn_from_frames_with_several(
     refine: Refine, frames: int, steps: int
 ) -> None:
@@ -87,7 +90,7 @@ def test_virtual_views_have_the_gaps_of_the_capture_and_are_normalised() -> None
     torch.testing.assert_close(size, torch.ones_like(size), atol=1e-3, rtol=0)
 
 
-@pytest.mark.parametrize("stop", [14, 15, 16, 22, 23, 25])
+@pytest.mark.parametrize("stop", thorough_after(1, [15, 14, 16, 22, 23, 25]))
 def test_a_fit_resumes_bit_for_bit_around_its_refreshes(stop: int) -> None:
     capture = synthetic_capture(frames=21, views=2, noise=2, hidden_views=0.2, seed=3)
     config = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8, refine="off")

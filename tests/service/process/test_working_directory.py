@@ -42,6 +42,7 @@ def live(folder: Path) -> Iterator[Live]:
     kill_service(live)
 
 
+@pytest.mark.thorough
 def test_a_fit_runs_and_a_lift_answers(live: Live, capture: SyntheticCapture) -> None:
     data = to_npz(keypoints=capture.keypoints)
     dataset = live.http.post("/datasets", content=data, headers=BYTES).json()["id"]

@@ -91,8 +91,8 @@ KINDS: dict[str, Callable[[], Kind]] = {
     "moving": moving,
     "one view": one_view,
 }
-# It takes seconds to export: test_models.py downloads one, tests/models/lifting/test_onnx_file.py has
-# all kinds of networks.
+# It takes seconds to export: test_models.py downloads one, and all kinds of networks are in
+# tests/models/lifting/test_onnx_file.py.
 WITH_NETWORK = ("without noise",)
 
 

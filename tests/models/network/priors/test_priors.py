@@ -209,6 +209,7 @@ def test_a_fit_resumes_bit_for_bit(config: FitConfig, capture: SyntheticCapture)
         assert part.result().to_bytes() == whole.result().to_bytes()
 
 
+@pytest.mark.thorough
 @every_prior
 def test_it_is_fitted_lifted_and_refined(config: FitConfig, capture: SyntheticCapture) -> None:
     longer = config.model_copy(update={"steps": 300, "batch_size": 64})
