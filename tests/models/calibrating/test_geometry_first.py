@@ -196,7 +196,7 @@ def test_a_given_lens_is_kept() -> None:
     np.testing.assert_array_equal(found.deviations[:, 0], 0)
 
 
-@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("swapped", thorough_after(1, [True, False]))
 def test_a_given_handedness_decides(*, swapped: bool) -> None:
     capture = make_rig_capture([0.0, 80.0, -120.0], frames=40)
     a, b, c, d = (keypoint(name) for name in ("pelvis", "left_hip", "neck", "head"))

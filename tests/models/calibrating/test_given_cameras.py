@@ -143,6 +143,7 @@ def test_poses_of_another_session_are_refused_together(rig: RigCapture) -> None:
     assert (cameras.rotation_sds[1:] > 0).all()
 
 
+@pytest.mark.thorough
 def test_two_poses_that_contradict_each_other_are_both_named(rig: RigCapture) -> None:
     given = bumped(calibration(rig), 1, 20, "y")
     for view in (2, 3):

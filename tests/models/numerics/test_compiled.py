@@ -79,6 +79,7 @@ def test_machine_code_is_kept_until_a_function_of_another_room_changes(folder: P
     assert ask(folder) == (42.0, 1)
 
 
+@pytest.mark.thorough
 def test_what_the_compiler_does_not_see_compiles_nothing(folder: Path) -> None:
     assert ask(folder) == (42.0, 0)
     called, caller = (
@@ -120,6 +121,7 @@ def test_machine_code_is_read_where_it_cannot_be_written(folder: Path) -> None:
         assert ask(folder) == (42.0, 1)
 
 
+@pytest.mark.thorough
 def test_where_no_folder_can_be_written_every_process_compiles(folder: Path) -> None:
     with write_protected(folder):
         assert ask(folder) == (42.0, 0)

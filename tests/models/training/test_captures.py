@@ -17,6 +17,7 @@ from models.settings.keypoints import OUTLIER
 from models.training.trainer import Trainer, fit
 
 ROOT = Path(__file__).parents[3]
+pytestmark = pytest.mark.thorough
 CAPTURES = Path(os.environ.get("FEWVIEW_CAPTURES", ROOT / "../shared/data"))
 
 

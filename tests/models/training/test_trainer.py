@@ -23,14 +23,14 @@ QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8)
 
 @pytest.fixture(scope="module")
 def capture() -> SyntheticCapture:
-    return synthetic_capture(frames=400, views=4, noise=1, hidden_keypoints=0.03, seed=8)
+    return synthetic_capture(frames=200, views=4, noise=1, hidden_keypoints=0.03, seed=8)
 
 
 @pytest.fixture(scope="module")
 def prior(capture: SyntheticCapture) -> FittedPrior:
     """Fit every second frame; the others are lifted unseen."""
     keypoints, confidence = capture.keypoints[::2], capture.confidence[::2]
-    config = FitConfig(steps=450, cameras="moving")
+    config = FitConfig(steps=300, cameras="moving", dictionary_sizes=(64, 16))
     return fitted_once("refined", lambda: fit(keypoints, config, confidence=confidence))
 
 
@@ -38,7 +38,7 @@ def prior(capture: SyntheticCapture) -> FittedPrior:
 def weak(capture: SyntheticCapture) -> FittedPrior:
     """Fit as the paper does, with weak perspective alone."""
     keypoints, confidence = capture.keypoints, capture.confidence
-    config = FitConfig(steps=600, refine="off")
+    config = FitConfig(steps=400, refine="off", dictionary_sizes=(64, 16))
     return fitted_once("weak", lambda: fit(keypoints, config, confidence=confidence))
 
 

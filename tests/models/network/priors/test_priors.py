@@ -45,7 +45,8 @@ CONFIGS = {
     ),
 }
 # The cameras move here; to look for static ones takes time, and is the same for all.
-DEFAULTS = [FitConfig(prior=name, steps=40, batch_size=16, cameras="moving") for name in PRIORS]
+SMALL = FitConfig(steps=40, batch_size=16, dictionary_sizes=(24, 8), cameras="moving")
+DEFAULTS = [SMALL.model_copy(update={"prior": name}) for name in PRIORS]
 KEYPOINTS = 11
 
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
@@ -212,7 +213,8 @@ def test_a_fit_resumes_bit_for_bit(config: FitConfig, capture: SyntheticCapture)
 @pytest.mark.thorough
 @every_prior
 def test_it_is_fitted_lifted_and_refined(config: FitConfig, capture: SyntheticCapture) -> None:
-    longer = config.model_copy(update={"steps": 300, "batch_size": 64})
+    sizes = FitConfig().dictionary_sizes
+    longer = config.model_copy(update={"steps": 300, "batch_size": 64, "dictionary_sizes": sizes})
     prior = fitted_once(
         config.prior, lambda: fit(capture.keypoints, longer, confidence=capture.confidence)
     )
