@@ -27,7 +27,7 @@ test: lint
 	$(MAKE) --jobs 2 types tests
 
 # Those that are not thorough (pyproject.toml), or with `test-all` every one.
-test-all: MARKED := -m ''
+test-all: export MARKED := -m ''
 test-all: test
 
 # Four tests at a time: many wait for processes, so two cores are busy.
