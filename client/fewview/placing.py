@@ -138,6 +138,7 @@ def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) 
     deep = size[..., None] * shifts - moved
     in_room = {
         "points3d": places.of(lift["points3d"]),
+        **({"points3d_sd": size * lift["points3d_sd"]} if "points3d_sd" in lift else {}),
         "rotations": np.where(somewhere[:, None, None, None], turned, np.nan),
         "scales": scales,
         "translations": np.where((models == 0)[..., None], weak, deep),

@@ -174,9 +174,8 @@ class Trainer:
         state = self._state
         if state.step < state.schedule.steps:
             return None
-        if state.ends_early:
-            return "early"
-        return "steps" if state.step >= state.schedule.full_steps else "budget"
+        whole = state.step >= state.schedule.full_steps
+        return "early" if state.ends_early else "steps" if whole else "budget"
 
     def run(self) -> Iterator[Progress]:
         """Take the remaining steps, yielding after each; stop iterating to pause."""
@@ -208,9 +207,9 @@ class Trainer:
         usual = attempt(self._teaching.usual, nothing_unusual())
         capture = self._capture._replace(usual=usual, structure=self._teaching.structure)
         if self.config.refine != "off" and prior.cameras is None:
-            found = (*capture.findings, Finding.of("cameras_not_found"))
-            capture = capture._replace(findings=found)
-        learnt = self._outliers, self._noise_removal, attempt(self._teaching.posterior, None)
+            missing = Finding.of("cameras_not_found")
+            capture = capture._replace(findings=(*capture.findings, missing))
+        learnt = (self._outliers, self._noise_removal, attempt(self._teaching.posterior, None))
         return prior.of_capture(self.config, capture, *learnt)
 
     def checkpoint(self) -> bytes:
@@ -227,12 +226,13 @@ class Trainer:
         return checkpoints.write(saved, config=self.config, data=self._fingerprint, known=known)
 
     def _restore(self, checkpoint: bytes) -> None:
+        frames, views, keypoints = self._data.weights.shape
         saved = checkpoints.read(
             checkpoint,
             config=self.config,
             data=self._fingerprint,
             weights=len(self._learner.weights),
-            shape=self._data.keypoints.shape[:3],
+            shape=(frames, views, keypoints),
         )
         self._learner.resume(saved.weights, saved.moments)
         self._state, self._curve = saved.state, list(saved.curve)

@@ -121,14 +121,16 @@ def get_reconstruction(
     `translations` (N, K, 3), `focals` (N, K, 2), `principal_points` (N, K, 2), `distortions`
     (N, K, 8), `reprojection_errors` (N, K), NaN where there is no answer; `keypoints_used` (N, K)
     and `camera_models` (N, K): 0 weak perspective, 1 perspective, 2 fisheye, -1 no camera. The
-    translation of a weak-perspective camera is (x, y) in pixels and NaN. `keypoints_seen` (N, P)
+    translation of a weak-perspective camera is (x, y) in pixels and NaN. `points3d_sd` (N, P) is
+    how far each point may be off: the root mean square of its expected distance from the true one,
+    NaN where it is not known. `keypoints_seen` (N, P)
     counts the views that show a keypoint, 0 where it is inferred from the others; a keypoint that
     two views of the fit never show in the same frame is NaN, as is one that fewer than two views
     show of a frame if its answer is far from where it usually is. `outlier_probability` (N, K, P)
     is the probability of a keypoint to be an outlier, NaN where it was not observed or not judged;
     above 0.5 it was left out. `findings` (N,) are sums of the findings of a frame: 1
     `rig_not_used`, 2 `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`.
-    Reconstructions that older versions stored lack these three.
+    Reconstructions that older versions stored lack these four.
 
     With `frame=room` all frames are in one room, and so are the cameras. Canonical translations
     have the unit of each frame's first view: if that view moves while others are static, the unit

@@ -125,6 +125,7 @@ LIFTED_FRAME: dict[str, Any] = {
     "status": "ok",
     "reason": None,
     "points3d": [[0.1, -0.9, 0.0], [0.1, 0.3, 0.1], [-0.3, 0.2, 0.0], [0.1, 0.4, -0.1]],
+    "points3d_sd": [0.012, 0.015, 0.11, 0.013],
     "keypoints_seen": [1, 1, 0, 1],
     "outlier_probability": [[0.001, 0.0, 0.998, 0.004], [None, None, None, None]],
     "views": [
@@ -155,6 +156,12 @@ class LiftedFrame(BaseModel):
         description="The canonical structure, keypoints x (x, y, z): centred, right-handed. Null "
         "for a keypoint that two views of the fit never showed in the same frame, and for one that "
         "fewer than two views show of this frame if its answer is far from where it usually is."
+    )
+    points3d_sd: list[float | None] | None = Field(
+        description="How far each point may be off: the root mean square of its expected distance "
+        "from the true one, units of `points3d`. The structure's place and direction are no part "
+        "of it, nor is its size unless static cameras give it. Null in weak perspective, and in "
+        "what older versions stored or fitted."
     )
     keypoints_seen: list[int] | None = Field(
         description="How many views show each keypoint: 0, it is inferred from the others; 1, so "

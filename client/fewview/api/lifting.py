@@ -24,6 +24,10 @@ class Lift:
     points3d
         (N, P, 3) canonical structures, right-handed, in the unit given to the fit. With
         ``frame="room"``, points in the room; NaN in frames that have no place in it.
+    points3d_sd
+        (N, P) how far each point may be off: the root mean square of its expected distance from
+        the true one, in the unit of the points. NaN where it is not known; None for old
+        reconstructions.
     rotations
         (N, K, 3, 3) from there to each camera's axes: x right, y down, z forward.
     scales
@@ -67,6 +71,7 @@ class Lift:
     reprojection_errors: Float32
     keypoints_used: NDArray[np.integer[Any]]
     camera_models: NDArray[np.integer[Any]]
+    points3d_sd: Float32 | None = None
     keypoints_seen: NDArray[np.integer[Any]] | None = None
     outlier_probability: Float32 | None = None
     frame_findings: NDArray[np.integer[Any]] | None = None

@@ -38,6 +38,9 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
             np.testing.assert_allclose(frame["points3d"], arrays["points3d"][n], rtol=1e-6)
         else:
             assert np.isnan(arrays["points3d"][n]).all()
+        off = frame["points3d_sd"]
+        off = [None] * arrays["points3d_sd"].shape[1] if off is None else off
+        np.testing.assert_allclose(np.array(off, np.float32), arrays["points3d_sd"][n], rtol=1e-6)
         outlying = arrays["outlier_probability"][n]
         if frame["outlier_probability"] is None:
             assert np.isnan(outlying).all()
@@ -285,6 +288,7 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         camera_models=models,
         reprojection_errors=values(),
         keypoints_used=np.array([[5, 5, 5, 0]], np.int32),
+        points3d_sd=np.array([[0.25, np.nan, 0.001, 1, 0.5]], np.float32),
         keypoints_seen=np.array([[3, 2, 0, 1, 3]], np.uint8),
         outlier_probability=np.array([[[np.nan, 0.25, 0, 1, 0.001]] * 4], np.float32),
         findings=np.array([5], np.uint8),

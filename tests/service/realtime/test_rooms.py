@@ -88,6 +88,7 @@ def test_points_are_where_the_static_cameras_see_them(
     assert compared == 27
     assert np.ptp(room["points3d"].mean(1), axis=0).max() > 0.1  # it walks
     np.testing.assert_allclose(room["scales"], canonical["scales"], rtol=1e-3)
+    assert np.isnan(canonical["points3d_sd"]).all()  # a file without a posterior
     for name in ("focals", "distortions", "reprojection_errors", "camera_models", "keypoints_seen"):
         np.testing.assert_array_equal(room[name], canonical[name])
 

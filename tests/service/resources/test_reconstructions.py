@@ -60,6 +60,7 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "camera_models": (n, k),
         "reprojection_errors": (n, k),
         "keypoints_used": (n, k),
+        "points3d_sd": (n, p),
         "keypoints_seen": (n, p),
         "outlier_probability": (n, k, p),
         "findings": (n,),
@@ -74,6 +75,9 @@ def test_the_reconstruction_is_the_same_in_every_format(
         judged = np.array(frame["outlier_probability"], np.float32)  # None is NaN
         np.testing.assert_array_equal(judged, arrays["outlier_probability"][index])
         np.testing.assert_array_equal(np.float32(frame["points3d"]), arrays["points3d"][index])
+        off = frame["points3d_sd"]
+        off = [None] * p if off is None else off
+        np.testing.assert_array_equal(np.array(off, np.float32), arrays["points3d_sd"][index])
         for view, camera in enumerate(frame["views"]):
             if camera is None:
                 assert np.isnan(arrays["scales"][index, view])
