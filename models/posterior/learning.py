@@ -6,7 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import CENTRE_X, FOCAL, LENS, RADIAL, RADIAL_2, VIEW, Rig
-from models.calibrating.shape_evidence import Located, learn_shapes_of
+from models.calibrating.shape_evidence import (
+    LEAST_KNOWN,
+    Located,
+    LocatedShapes,
+    blocks_of,
+    learn_shapes_of,
+)
+from models.capture.metrics import procrustes_by_size
 from models.network.answers import Answers
 from models.posterior.answers import frames_of, reprojected
 from models.posterior.frames import Frames, ShapeModel, covariances_of, scores_of
@@ -15,6 +22,7 @@ from models.posterior.posterior import Posterior
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+FRAMES_EACH = 8  # at least, that shapes are learnt from and judged on
 LEAST_SPREAD = 1e-3  # of a keypoint about its shapes, radii of the structure
 LEAST_NOISE = 1e-3  # pixels
 STEP = 1e-5  # of the largest coordinate, for differences of pixels
@@ -116,12 +124,49 @@ def _slopes(pixels_of: Callable[[Float64], Float64], points: Float64) -> Float64
 
 
 def _shapes(located: Located) -> ShapeModel:
-    """Learn shapes from points that keypoints alone locate."""
+    """Learn shapes from points that keypoints alone locate.
+
+    What is left of a keypoint is what the other keypoints leave open of it, in frames that shapes
+    were not learnt from.
+    """
     learnt = learn_shapes_of(located)
-    variances = learnt.left.trace(axis1=1, axis2=2) / 3 + LEAST_SPREAD**2
-    return ShapeModel(
-        *(np.ascontiguousarray(part) for part in (learnt.mean, learnt.basis, variances))
-    )
+    odd = blocks_of(len(located.points)) % 2
+    left, counts = np.zeros(len(learnt.mean)), np.zeros(len(learnt.mean))
+    for half in (0, 1):
+        some, others = np.flatnonzero(odd == half), np.flatnonzero(odd != half)
+        if min(len(some), len(others)) < FRAMES_EACH:
+            continue
+        squares, known = _predicted(learn_shapes_of(located.of(some)), located.of(others))
+        left, counts = left + squares, counts + known
+    own = learnt.left.trace(axis1=1, axis2=2) / 3
+    typical = left.sum() / max(float(counts.sum()), TINY) if counts.any() else own.mean()
+    variances = np.maximum(own, (left + POOLED * typical) / (counts + POOLED)) + LEAST_SPREAD**2
+    return ShapeModel(*(np.ascontiguousarray(a) for a in (learnt.mean, learnt.basis, variances)))
+
+
+def _predicted(shapes: LocatedShapes, located: Located) -> tuple[Float64, Float64]:
+    """Predict each keypoint of frames from the others.
+
+    Returns sums (P,) of squared errors of a coordinate, less the noise of the points, and how many
+    frames (P,) know the keypoint.
+    """
+    known = located.known
+    holes = np.where(known[..., None], located.points, np.nan)
+    usable = known.sum(1) >= LEAST_KNOWN
+    known, holes = known[usable], holes[usable]
+    aligned = np.nan_to_num(procrustes_by_size(holes, np.broadcast_to(shapes.mean, holes.shape)))
+    noise = np.zeros(known.shape)
+    noise[known] = np.linalg.inv(located.information[usable][known]).trace(axis1=1, axis2=2) / 3
+    offsets = np.where(known[..., None], aligned - shapes.mean, 0.0)  # (N, P, 3)
+    weights = known / (noise + shapes.left.trace(axis1=1, axis2=2) / 3)
+    pulls = weights[..., None] * np.einsum("piq,npi->npq", shapes.basis, offsets)
+    inner = weights[..., None, None] * (shapes.basis.mT @ shapes.basis)  # (N, P, Q, Q)
+    others = inner.sum(1, keepdims=True) - inner + np.eye(shapes.basis.shape[2])
+    pull = pulls.sum(1, keepdims=True) - pulls
+    z = np.linalg.solve(others, pull[..., None])[..., 0]
+    left = offsets - np.einsum("piq,npq->npi", shapes.basis, z)
+    squares = np.where(known, np.square(left).mean(-1) - noise, 0.0)
+    return squares.sum(0).clip(0), known.sum(0)
 
 
 def _noise(weights: Float64, left: Float64, share: Float64) -> Float64:

@@ -196,10 +196,15 @@ def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
             deep = models != 0
             lift["translations"][deep] = (walk.translations * units[:, None, None])[deep]
             lift["scales"] = scales / units[:, None]
+        # A tenth of the subject's size, in the unit of each frame.
+        lift["points3d_sd"] = 0.1 * np.linalg.norm(lift["points3d"].std(1), axis=-1, keepdims=True)
         placed = in_room(lift, *rig)
         nowhere = [4, 5, 6] if first_moves else [5]  # with one static view there is no baseline
         there = np.delete(np.arange(80), nowhere)
         np.testing.assert_allclose(placed["points3d"][there], walk.truth[there], atol=1e-9)
+        sizes = np.linalg.norm(placed["points3d"].std(1), axis=-1, keepdims=True)
+        np.testing.assert_allclose(placed["points3d_sd"][there], 0.1 * sizes[there])
+        assert np.isnan(placed["points3d_sd"][nowhere]).all()
         np.testing.assert_allclose(in_cameras(placed)[there], before[there], rtol=1e-6, atol=1e-6)
         assert np.isnan(placed["points3d"][nowhere]).all()
         assert np.isnan(placed["rotations"][nowhere]).all()

@@ -65,6 +65,9 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "outlier_probability": (n, k, p),
         "findings": (n,),
     }
+    known = np.isfinite(arrays["points3d"]).all(-1) & (arrays["camera_models"] > 0).any(1)[:, None]
+    assert (arrays["points3d_sd"][known] > 0).all()
+    assert np.isnan(arrays["points3d_sd"][~known]).all()
     body = data.json()
     assert body["fit_id"] == fitted["id"]
     assert body["model_id"] == fitted["model_id"]

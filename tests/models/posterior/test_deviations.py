@@ -1,0 +1,104 @@
+"""How far points of a fit may be off, against how far they are."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from safetensors.numpy import load, save
+
+from models.capture.metrics import procrustes_by_size
+from models.lifting.fitted_prior import FittedPrior
+from models.numerics.tensor_files import WeightsError
+from models.settings.config import FitConfig
+from models.training.trainer import fit
+from tests.models.rigs import RigCapture, make_rig_capture
+from tests.sharing import fitted_once
+
+NOISE = 3.0  # pixels
+HAND = 5  # a keypoint at the end of a limb
+LATER = slice(60, 90)  # frames that the fit does not see
+STEPS = 200
+
+
+@cache
+def capture() -> RigCapture:
+    return make_rig_capture([0.0, 80.0, -120.0], frames=90, noise=NOISE)
+
+
+@cache
+def prior() -> FittedPrior:
+    keypoints = capture().keypoints[: LATER.start]
+    return fitted_once("doubted", lambda: fit(keypoints, FitConfig(steps=STEPS)))
+
+
+def errors(points: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the distances (N, P) from the truth, each frame aligned, in the unit of the lift."""
+    truth = capture().points3d[LATER]
+    aligned = procrustes_by_size(truth, points.astype(np.float64))
+    return np.asarray(np.linalg.norm(aligned - points, axis=-1))
+
+
+def hidden(*views: int) -> NDArray[np.float64]:
+    """Return the later frames without a hand in some views."""
+    keypoints = capture().keypoints[LATER].copy()
+    keypoints[:, views, HAND] = np.nan
+    return keypoints
+
+
+def test_errors_are_as_large_as_they_are_expected_to_be() -> None:
+    lift = prior().lift(capture().keypoints[LATER])
+    off, expected = errors(lift.points3d), lift.points3d_sd
+    assert expected.shape == off.shape
+    assert 0.75 < np.sqrt(np.square(off).mean() / np.square(expected).mean()) < 1.33
+    within = off < 1.08 * expected  # 68 % of a distance in three directions
+    assert 0.5 < within.mean() < 0.85
+
+
+def test_a_keypoint_is_the_surer_the_more_views_show_it() -> None:
+    sds = [
+        float(np.median(prior().lift(hidden(*views)).points3d_sd[:, HAND]))
+        for views in ((), (0,), (0, 1), (0, 1, 2))
+    ]
+    assert sds == sorted(sds)
+    assert sds[0] < 0.9 * sds[1]
+    assert sds[1] < 0.7 * sds[2]
+
+
+def test_where_a_keypoint_is_hidden_errors_are_as_expected() -> None:
+    for views in ((0,), (0, 1), (0, 1, 2)):
+        lift = prior().lift(hidden(*views))
+        off, expected = errors(lift.points3d)[:, HAND], lift.points3d_sd[:, HAND]
+        assert 0.5 < np.sqrt(np.square(off).mean() / np.square(expected).mean()) < 2
+
+
+def test_noisier_keypoints_of_unknown_cameras_leave_more_doubt() -> None:
+    sds = prior().lift(capture().keypoints[LATER]).points3d_sd
+    two = prior().lift(capture().keypoints[LATER, :2]).points3d_sd  # cameras of their own
+    assert np.nanmedian(two) > np.median(sds)
+
+
+def test_weak_perspective_is_of_unknown_doubt() -> None:
+    assert np.isnan(prior().lift(capture().keypoints[LATER], refine="off").points3d_sd).all()
+
+
+def test_a_file_has_the_posterior() -> None:
+    data = prior().to_bytes()
+    again = FittedPrior.from_bytes(data)
+    assert again.to_bytes() == data
+    keypoints = capture().keypoints[LATER]
+    np.testing.assert_array_equal(
+        again.lift(keypoints).points3d_sd, prior().lift(keypoints).points3d_sd
+    )
+
+
+@pytest.mark.parametrize("name", ["noise", "variances"])
+def test_a_file_with_a_posterior_that_makes_no_sense_is_refused(name: str) -> None:
+    data = prior().to_bytes()
+    arrays = dict(load(data))
+    arrays[f"posterior.{name}"] = -arrays[f"posterior.{name}"]
+    header = data[8 : 8 + int.from_bytes(data[:8], "little")]
+    broken = save(arrays, json.loads(header)["__metadata__"])
+    with pytest.raises(WeightsError, match="posterior"):
+        FittedPrior.from_bytes(broken)
