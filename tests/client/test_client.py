@@ -123,7 +123,7 @@ def test_a_long_capture_that_is_refused_midway_leaves_nothing(
 
 def test_a_fit_is_followed_and_its_reconstruction_is_arrays(served: Served) -> None:
     client, heard = served.client, list[Fit]()
-    fit = client.fits.create(served.dataset, name="again", **CONFIG)
+    fit = client.fits.create(served.dataset, name="again", **CONFIG, refine="off")
     done = client.fits.wait(fit, on_progress=heard.append)
     assert done.status == "succeeded"
     assert heard[-1] == done
@@ -339,7 +339,7 @@ def test_the_same_can_be_awaited(served: Served, tmp_path: Path) -> None:
             assert storage.stored_bytes == sum(kind.stored_bytes for kind in storage.items) > 0
             assert dataset.id in {item.id for item in storage.largest}
             heard: list[Fit] = []
-            fit = await client.fits.create(dataset, **CONFIG)
+            fit = await client.fits.create(dataset, **CONFIG, refine="off")
             fit = await client.fits.wait(fit, on_progress=heard.append)
             assert heard[-1] == fit
             assert fit.model_id is not None

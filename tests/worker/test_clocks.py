@@ -14,6 +14,7 @@ from store import fits, lookup
 from store.database import Store
 from store.records import FitRecord
 from tests.processes import tied
+from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from tests.worker.conftest import (
     LONG,
@@ -32,10 +33,9 @@ def settings(settings: WorkerSettings) -> WorkerSettings:
     return settings.model_copy(update={"lease_seconds": SHORT_LEASE})
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("deployment", "off"),
-    [("embedded", HOUR), ("scaled", -HOUR)],
+    thorough_after(1, [("embedded", HOUR), ("scaled", -HOUR)]),
     indirect=["deployment"],
 )
 def test_neither_takes_the_others_fit(

@@ -19,7 +19,6 @@ from store.datasets import CaptureDescription
 from store.jobs import TERMINAL
 from store.records import FitRecord, LiftRecord
 from tests.object_stores import folder_away
-from tests.tiers import thorough_after
 from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for_step, wait_until
 from worker import patience
@@ -64,9 +63,7 @@ def lift(store: Store, capture: Capture, fit_here: FitHere) -> LiftRecord:
     )
 
 
-@pytest.mark.parametrize(
-    ("away", "seconds"), thorough_after(1, [(objects_away, 3.0), (records_away, 22.0)])
-)
+@pytest.mark.parametrize(("away", "seconds"), [(objects_away, 3.0), (records_away, 22.0)])
 def test_a_fit_and_a_lift_outlive_an_outage(
     store: Store,
     redis: Redis,

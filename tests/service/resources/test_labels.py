@@ -196,7 +196,7 @@ def test_what_is_asked_wrongly_is_refused(live: Live, planted: str) -> None:
 
 def test_a_fit_that_has_not_succeeded_or_lost_its_dataset_has_none(live: Live) -> None:
     dataset = make_dataset(live.http, frames=30)
-    fit = live.fit(dataset["id"], steps=5)["id"]
+    fit = live.fit(dataset["id"], steps=5, refine="off")["id"]
     live.finished(fit)
     assert live.http.get(f"/fits/{fit}/labels").status_code == 200
     assert live.http.delete(f"/datasets/{dataset['id']}").status_code == 204
