@@ -22,6 +22,7 @@ from models.posterior.posterior import Posterior
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+LEAST_FRAMES = 4  # in which keypoints locate points
 FRAMES_EACH = 8  # at least, that shapes are learnt from and judged on
 LEAST_SPREAD = 1e-3  # of a keypoint about its shapes, radii of the structure
 LEAST_NOISE = 1e-3  # pixels
@@ -50,8 +51,10 @@ def learn_posterior(
     keypoints: Float64,
     weights: Float64,
     deviations: Float64,
-) -> Posterior:
+) -> Posterior | None:
     """Learn from the frames of a fit and their answers, which have perspective cameras.
+
+    None where keypoints locate points in too few of them.
 
     Parameters
     ----------
@@ -69,7 +72,11 @@ def learn_posterior(
         _, left, share = _triangulated(frames)
         noise = _noise(frames.weights * np.square(noise), left, share)
     frames = frames_of(answers, rig, mean, keypoints, weights, noise)
-    shapes = _shapes(_triangulated(frames)[0])
+    located, _, _ = _triangulated(frames)
+    usable = np.flatnonzero(located.known.sum(1) >= LEAST_KNOWN)
+    if len(usable) < LEAST_FRAMES:
+        return None
+    shapes = _shapes(located.of(usable))
     frames = frames_of(answers, rig, shapes.mean, keypoints, weights, noise)
     factor = _that_matters(frames, shapes, camera_factor(frames, shapes, rig, deviations))
     return Posterior(*shapes, noise, factor)
@@ -152,11 +159,9 @@ def _predicted(shapes: LocatedShapes, located: Located) -> tuple[Float64, Float6
     """
     known = located.known
     holes = np.where(known[..., None], located.points, np.nan)
-    usable = known.sum(1) >= LEAST_KNOWN
-    known, holes = known[usable], holes[usable]
     aligned = np.nan_to_num(procrustes_by_size(holes, np.broadcast_to(shapes.mean, holes.shape)))
     noise = np.zeros(known.shape)
-    noise[known] = np.linalg.inv(located.information[usable][known]).trace(axis1=1, axis2=2) / 3
+    noise[known] = np.linalg.inv(located.information[known]).trace(axis1=1, axis2=2) / 3
     offsets = np.where(known[..., None], aligned - shapes.mean, 0.0)  # (N, P, 3)
     weights = known / (noise + shapes.left.trace(axis1=1, axis2=2) / 3)
     pulls = weights[..., None] * np.einsum("piq,npi->npq", shapes.basis, offsets)

@@ -16,8 +16,10 @@ MOST_FRAMES = 300  # that it is learnt from
 
 def posterior_of(
     found: SelfCalibration, prior: FittedPrior, data: Data, detected: Data, frames: Tensor
-) -> Posterior:
+) -> Posterior | None:
     """Learn how far answers may be off from some of `frames` (T,), which two views or more show.
+
+    None if keypoints locate points in too few of them.
 
     `detected` is the data before noise was removed.
     """

@@ -65,7 +65,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "outlier_probability": (n, k, p),
         "findings": (n,),
     }
-    known = np.isfinite(arrays["points3d"]).all(-1) & (arrays["camera_models"] > 0).any(1)[:, None]
+    perspective = np.any(arrays["camera_models"] > 0, axis=1, keepdims=True)
+    known = np.logical_and(np.all(np.isfinite(arrays["points3d"]), axis=-1), perspective)
     assert (arrays["points3d_sd"][known] > 0).all()
     assert np.isnan(arrays["points3d_sd"][~known]).all()
     body = data.json()
