@@ -44,6 +44,7 @@ def test_gives_what_the_network_gives(network: HierarchicalPrior) -> None:
     np.testing.assert_allclose(translations, cameras.translations.numpy(), atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_counts_the_products_of_the_network(network: HierarchicalPrior) -> None:
     views = torch.randn(3, 17, 2)
     with FlopCounterMode(display=False) as counter:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import pytest
 from nbclient import NotebookClient
 from PIL import Image
 
@@ -14,6 +15,7 @@ from tests.service.conftest import kill_service, start_service
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.thorough
 def test_the_notebook_ends_in_an_animation(tmp_path: Path) -> None:
     notebook: Any = nbformat.read(  # type: ignore[no-untyped-call]
         EXAMPLES / "walk.ipynb", as_version=4

@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +17,8 @@ from worker.process import python
 DEMO = Path(__file__).parents[2] / "examples" / "demo.py"
 
 
-def run_demo(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def run_demo(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
     """Run the demo where `folder` is the current directory and holds all temporary files."""
-    return subprocess.run(
-        [sys.executable, str(DEMO), *arguments],
-        cwd=folder,
-        env=os.environ | {"TMPDIR": str(folder)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-
-
-def run_forked_demo(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Do the same from the fork server, where nothing is asked of the start and the end."""
     environment = os.environ | {"TMPDIR": str(folder)}
     return fork_server.run(python(str(DEMO), *arguments), cwd=folder, env=environment)
 
@@ -104,7 +90,7 @@ def test_needs_neither_truth_nor_edges(tmp_path: Path) -> None:
     capture = synthetic_capture(frames=3, views=2)
     np.savez(tmp_path / "bare.npz", keypoints=capture.keypoints)
 
-    done = run_forked_demo(tmp_path, "bare.npz", "--steps", "5")
+    done = run_demo(tmp_path, "bare.npz", "--steps", "5")
 
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout.splitlines()[-1])
@@ -124,7 +110,7 @@ def test_needs_neither_truth_nor_edges(tmp_path: Path) -> None:
 def test_says_what_was_expected_of_a_bad_file(tmp_path: Path) -> None:
     np.savez(tmp_path / "bad.npz", poses=np.zeros((9, 2, 8, 2)))
 
-    done = run_forked_demo(tmp_path, "bad.npz")
+    done = run_demo(tmp_path, "bad.npz")
 
     assert done.returncode == 2
     assert done.stdout == ""
@@ -135,7 +121,7 @@ def test_says_what_was_expected_of_a_bad_file(tmp_path: Path) -> None:
 def test_passes_on_what_the_service_refuses(tmp_path: Path) -> None:
     np.savez(tmp_path / "far.npz", keypoints=np.full((9, 2, 8, 2), 1e9))
 
-    done = run_forked_demo(tmp_path, "far.npz")
+    done = run_demo(tmp_path, "far.npz")
 
     assert done.returncode == 2
     assert done.stderr.startswith("demo.py: far.npz: /keypoints: ")

@@ -264,6 +264,7 @@ def test_examples_of_requests_work(api: TestClient, spec: dict[str, Any], model:
     assert "expected 16 keypoints" in lifted.json()["detail"]  # all else is right
 
 
+@pytest.mark.thorough
 def test_a_generated_client_does_the_whole_job(
     live: Live, capture: SyntheticCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,8 +57,7 @@ def settings(settings: WorkerSettings) -> WorkerSettings:
 @pytest.fixture
 def model_id(store: Store, prior: FittedPrior) -> str:
     columns: dict[str, Any] = {"config": {}, "training_curve": [], "metrics": {}}
-    weights = prior.to_bytes()
-    return models.create(store, weights, name="m", keypoints=16, **columns).id
+    return models.create(store, prior.to_bytes(), name="m", keypoints=16, **columns).id
 
 
 @pytest.fixture(scope="module")
@@ -391,8 +390,7 @@ def test_a_call_for_help_with_a_lift_that_is_gone_makes_nothing(
     lift = make_lift(CHUNK)
     lifts.cancel(store, lift.id)
     lifts.delete(store, lift.id)
-    queue = open_queue(redis)
-    job = queue.fetch_job(lift.id)
+    job = open_queue(redis).fetch_job(lift.id)
     assert job is not None
     start_worker()
     wait_for(lambda: bool(job.is_finished), "the job to end")

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from fewview.errors import FormatError
 
+from tests.tiers import thorough_after
+
 from . import files
 
 BODY = files.walk(12, 17)
@@ -284,7 +286,7 @@ def test_3d_in_json_is_refused(tmp_path: Path) -> None:
         fewview.read(path)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", thorough_after(2, range(6)))
 def test_mutated_files_are_read_or_refused_in_words(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     whole = [json.dumps(content()).encode() for _, content in FILES.values()]

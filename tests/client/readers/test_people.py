@@ -9,6 +9,8 @@ import pytest
 from fewview.errors import FormatError
 from numpy.typing import NDArray
 
+from tests.tiers import thorough_after
+
 from . import files
 
 Array = NDArray[Any]
@@ -73,7 +75,9 @@ def who(capture: fewview.Capture, pixels: list[Array]) -> list[set[int]]:
     return found
 
 
-@pytest.mark.parametrize(("views", "noise", "moving"), [(2, 2, 0), (3, 5, 0), (4, 2, 0), (3, 2, 1)])
+@pytest.mark.parametrize(
+    ("views", "noise", "moving"), thorough_after(2, [(2, 2, 0), (3, 2, 1), (3, 5, 0), (4, 2, 0)])
+)
 def test_the_same_person_is_taken_in_all_cameras(
     tmp_path: Path, views: int, noise: float, moving: bool
 ) -> None:
