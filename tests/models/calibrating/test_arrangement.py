@@ -38,7 +38,7 @@ def swaying(capture: RigCapture, view: int, pixels: float, noise: float) -> RigC
 def test_a_motion_counts_if_it_is_beyond_the_noise(
     pixels: float, noise: float, static: list[bool]
 ) -> None:
-    capture = make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=0.0, hidden=0.0)
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=40, noise=0.0, hidden=0.0)
     swayed = swaying(capture, 2, pixels, noise)
     task = task_of(swayed.pixels, swayed.weights, FitConfig(), [IMAGE_SIZE] * 3)
     found, _ = finished(self_calibrate(task, swayed.answers()))

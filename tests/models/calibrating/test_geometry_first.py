@@ -156,7 +156,7 @@ def test_two_static_cameras_have_the_lenses_under_which_shapes_are_alike(
     azimuths: list[float], focals: list[float]
 ) -> None:
     lenses = tuple(Lens(focal=focal) for focal in focals)
-    capture = make_rig_capture(azimuths, frames=80, noise=1.0, lenses=lenses)
+    capture = make_rig_capture(azimuths, frames=50, noise=1.0, lenses=lenses)
     found = found_in(capture)
     assert found is not None
     assert found.static.all()

@@ -55,6 +55,7 @@ def test_moving_cameras_have_the_focal_length_under_which_shapes_are_alike(
 ) -> None:
     capture = make_rig_capture(
         azimuths,
+        frames=50,
         moving=tuple(range(len(azimuths))),
         lenses=(Lens(focal=focal),),
         noise=noise,
@@ -78,7 +79,7 @@ def test_unlike_lenses_of_moving_cameras_are_found() -> None:
 def test_a_moving_camera_has_a_lens_of_its_own_beside_static_ones() -> None:
     focals = [1500.0, 1500.0, 700.0]
     lenses = tuple(Lens(focal=focal) for focal in focals)
-    capture = make_rig_capture([0.0, 80.0, -120.0], moving=(2,), lenses=lenses)
+    capture = make_rig_capture([0.0, 80.0, -120.0], frames=50, moving=(2,), lenses=lenses)
     check(capture, np.array(focals), "mixed")
 
 
@@ -97,6 +98,7 @@ def test_deviations_cover_what_noise_and_models_of_shapes_do_to_lenses(
 ) -> None:
     capture = make_rig_capture(
         [0.0, 80.0, -120.0][: len(focals)],
+        frames=50,
         moving=tuple(range(len(focals))),
         lenses=tuple(Lens(focal=focal) for focal in focals),
         noise=noise,

@@ -36,7 +36,7 @@ CORNERS = tuple(keypoint(name) for name in ("pelvis", "left_hip", "neck", "head"
 
 @pytest.fixture(scope="module")
 def static() -> RigCapture:
-    return make_rig_capture(AZIMUTHS, frames=40)
+    return make_rig_capture(AZIMUTHS, frames=30)
 
 
 @pytest.fixture(scope="module")
