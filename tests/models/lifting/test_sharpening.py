@@ -18,7 +18,7 @@ from tests.sharing import fitted_once
 
 AZIMUTHS = [0.0, 70.0, 140.0]
 QUICK = FitConfig(steps=200, dictionary_sizes=(16, 8), batch_size=16, cameras="static")
-FRAMES, POSES, NOISE = 300, 4, 15.0
+FRAMES, POSES, NOISE = 160, 4, 15.0
 
 
 @pytest.fixture(scope="module")
