@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
-from models.optics.lenses.projection import Lenses, differentiate_into, project_into
+from models.optics.lenses.projection import Lenses, differentiate_into
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -52,6 +52,32 @@ class ShapeFactor(NamedTuple):
 
     columns: Float64  # (P, 3, Q) B, turned and scaled as the answer
     variances: Float64  # (P,) eta^2
+
+
+class Slopes(NamedTuple):
+    """A pixel and its derivatives, and buffers."""
+
+    pixel: Float64  # (2,)
+    by_point: Float64  # (2, 3)
+    by_numbers: Float64  # (2, 11)
+    by_shared: Float64  # (2, T)
+    camera: Float64  # (3,)
+    by_camera: Float64  # (2, 3)
+    by_lens: Float64  # (2, 5)
+
+
+@inner
+def make_slopes(shared: int) -> Slopes:
+    """Return buffers, for so many directions of the shared cameras."""
+    return Slopes(
+        np.empty(2),
+        np.empty((2, 3)),
+        np.empty((2, VIEW)),
+        np.empty((2, shared)),
+        np.empty(3),
+        np.empty((2, 3)),
+        np.empty((2, LENS)),
+    )
 
 
 class _Equations(NamedTuple):
@@ -99,17 +125,17 @@ def covariance_of_frame(
         np.empty((3, shared)),
         np.zeros((size, shared)),
     )
-    first = _similarity_columns(cameras)
-    middle = middle_of(points)
+    first, slopes = _similarity_columns(cameras), make_slopes(shared)
+    middle, columns = middle_of(points), np.empty((3, size))
     _begin(points, middle, first, shapes.columns.shape[2], equations.system)
     for p in range(len(points)):
         fill(equations.coupling, 0.0)
         fill(equations.information, 0.0)
         fill(equations.lasting, 0.0)
-        _add_shape(points[p], middle, shapes, p, first, equations)
+        _add_shape(points[p], middle, shapes, p, first, equations, columns)
         for k in range(len(cameras.joined)):
             if views.weights[k, p] > 0:
-                _add_keypoint(points[p], cameras, k, views.weights[k, p], equations)
+                _add_keypoint(points[p], cameras, k, views.weights[k, p], equations, slopes)
         _eliminate(equations, out.own[p], out.modes[p], out.by_cameras[p])
     if not cholesky(equations.system):
         for array in (out.own, out.modes, out.by_cameras):
@@ -207,11 +233,15 @@ def _add_shape(
     p: int,
     first: int,
     equations: _Equations,
+    columns: Float64,
 ) -> None:
-    """Add the factor of a point's shape: X - S(mu + B z) of variance eta^2 in each direction."""
+    """Add the factor of a point's shape: X - S(mu + B z) of variance eta^2 in each direction.
+
+    `columns` (3, R) is a buffer.
+    """
     information, coupling, system = equations.information, equations.coupling, equations.system
     weight, count = 1.0 / shapes.variances[p], shapes.columns.shape[2]
-    columns = np.zeros((3, first + count))
+    fill(columns, 0.0)
     if first:
         x, y, z = point[0] - middle[0], point[1] - middle[1], point[2] - middle[2]
         columns[0, 0], columns[1, 1], columns[2, 2] = 1.0, 1.0, 1.0
@@ -231,48 +261,45 @@ def _add_shape(
 
 @inner
 def _add_keypoint(
-    point: Float64, cameras: FrameCameras, k: int, weight: float, equations: _Equations
+    point: Float64,
+    cameras: FrameCameras,
+    k: int,
+    weight: float,
+    equations: _Equations,
+    slopes: Slopes,
 ) -> None:
     """Add the factor of a keypoint, by the point, the view's own pose, and the shared numbers."""
-    information, _, _, lasting, _ = equations
-    by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
-    differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
-    by_shared = np.zeros((2, lasting.shape[1]))
+    information, lasting, by_shared = equations.information, equations.lasting, slopes.by_shared
+    differentiate_keypoint_into(point, cameras, k, slopes)
     for a in range(2):
+        for t in range(lasting.shape[1]):
+            by_shared[a, t] = 0.0
         for number in range(VIEW if cameras.joined[k] else LENS):
             for t in range(lasting.shape[1]):
-                by_shared[a, t] += by_numbers[a, number] * cameras.factor[k, number, t]
+                by_shared[a, t] += slopes.by_numbers[a, number] * cameras.factor[k, number, t]
         for i in range(3):
-            left = weight * by_point[a, i]
+            left = weight * slopes.by_point[a, i]
             for j in range(3):
-                information[i, j] += left * by_point[a, j]
+                information[i, j] += left * slopes.by_point[a, j]
             for t in range(lasting.shape[1]):
                 lasting[i, t] += left * by_shared[a, t]
         if not cameras.joined[k]:
-            _add_pose(
-                pose_columns(cameras, k, len(equations.system)),
-                weight, by_point[a], by_numbers[a], by_shared[a], equations,
-            )  # fmt: skip
+            own = pose_columns(cameras, k, len(equations.system))
+            _add_pose(own, weight, slopes, a, equations)
 
 
 @inner
-def _add_pose(
-    own: int,
-    weight: float,
-    by_point: Float64,
-    by_numbers: Float64,
-    by_shared: Float64,
-    equations: _Equations,
-) -> None:
-    """Add a coordinate of a keypoint by the pose whose columns of y begin at `own`."""
+def _add_pose(own: int, weight: float, slopes: Slopes, a: int, equations: _Equations) -> None:
+    """Add coordinate `a` of a keypoint by the pose whose columns of y begin at `own`."""
     for number in range(EXTRINSICS):
-        by_pose = weight * by_numbers[LENS + number]
+        by_pose = weight * slopes.by_numbers[a, LENS + number]
         for i in range(3):
-            equations.coupling[i, own + number] += by_pose * by_point[i]
+            equations.coupling[i, own + number] += by_pose * slopes.by_point[a, i]
         for other in range(number + 1):
-            equations.system[own + number, own + other] += by_pose * by_numbers[LENS + other]
-        for t in range(len(by_shared)):
-            equations.coupled[own + number, t] += by_pose * by_shared[t]
+            by_other = slopes.by_numbers[a, LENS + other]
+            equations.system[own + number, own + other] += by_pose * by_other
+        for t in range(slopes.by_shared.shape[1]):
+            equations.coupled[own + number, t] += by_pose * slopes.by_shared[a, t]
 
 
 @inner
@@ -286,46 +313,33 @@ def pose_columns(cameras: FrameCameras, k: int, size: int) -> int:
 
 
 @inner
-def project_keypoint_into(point: Float64, cameras: FrameCameras, k: int, pixel: Float64) -> None:
-    """Write the pixel (2,) of a point in view k."""
-    camera = np.empty(3)
-    for i in range(3):
-        camera[i] = cameras.translations[k, i]
-        for j in range(3):
-            camera[i] += cameras.rotations[k, i, j] * point[j]
-    project_into(camera, cameras.lenses, k, pixel)
-
-
-@inner
 def differentiate_keypoint_into(
-    point: Float64, cameras: FrameCameras, k: int, by_point: Float64, by_numbers: Float64
+    point: Float64, cameras: FrameCameras, k: int, slopes: Slopes
 ) -> None:
-    """Write the derivatives of a pixel by the point (2, 3) and by the view's numbers (2, 11).
+    """Write a pixel, and its derivatives by the point and by the view's numbers.
 
     A rotation vector turns the camera's axes about the origin of the rig, or about the middle of
     the structure where the view is not joined; translations are in units of the rig.
     """
-    camera, turned, pixel = np.empty(3), np.empty(3), np.empty(2)
-    by_camera, by_lens = np.empty((2, 3)), np.empty((2, LENS))
-    growth = cameras.growth if cameras.joined[k] else 1.0
+    camera, by_camera, by_numbers = slopes.camera, slopes.by_camera, slopes.by_numbers
+    rotation, joined = cameras.rotations[k], cameras.joined[k]
+    growth = cameras.growth if joined else 1.0
     for i in range(3):
         camera[i] = cameras.translations[k, i]
         for j in range(3):
-            camera[i] += cameras.rotations[k, i, j] * point[j]
-        turned[i] = camera[i]
-        turned[i] -= cameras.offsets[k, i] if cameras.joined[k] else cameras.translations[k, i]
-    differentiate_into(camera, cameras.lenses, k, pixel, by_camera, by_lens)
+            camera[i] += rotation[i, j] * point[j]
+    differentiate_into(camera, cameras.lenses, k, slopes.pixel, by_camera, slopes.by_lens)
+    for i in range(3):  # what turns with the camera
+        camera[i] -= cameras.offsets[k, i] if joined else cameras.translations[k, i]
     for a in range(2):
         x, y, z = by_camera[a, 0], by_camera[a, 1], by_camera[a, 2]
         for j in range(3):
-            by_point[a, j] = 0.0
-            for i in range(3):
-                by_point[a, j] += by_camera[a, i] * cameras.rotations[k, i, j]
+            slopes.by_point[a, j] = x * rotation[0, j] + y * rotation[1, j] + z * rotation[2, j]
         for number in range(LENS):
-            by_numbers[a, number] = by_lens[a, number]
-        by_numbers[a, LENS] = z * turned[1] - y * turned[2]
-        by_numbers[a, LENS + 1] = x * turned[2] - z * turned[0]
-        by_numbers[a, LENS + 2] = y * turned[0] - x * turned[1]
+            by_numbers[a, number] = slopes.by_lens[a, number]
+        by_numbers[a, LENS] = z * camera[1] - y * camera[2]
+        by_numbers[a, LENS + 1] = x * camera[2] - z * camera[0]
+        by_numbers[a, LENS + 2] = y * camera[0] - x * camera[1]
         by_numbers[a, LENS + 3] = growth * x
         by_numbers[a, LENS + 4] = growth * y
         by_numbers[a, LENS + 5] = growth * z

@@ -20,11 +20,12 @@ from models.posterior.frame import (
     FrameCameras,
     FrameCovariance,
     ShapeFactor,
+    Slopes,
     covariance_of_frame,
     differentiate_keypoint_into,
+    make_slopes,
     middle_of,
     pose_columns,
-    project_keypoint_into,
     unknowns_of,
 )
 
@@ -285,6 +286,7 @@ def _scores(
     for k in range(views):
         for number in range(VIEW):
             factor[k, number, VIEW * k + number] = 1.0
+    slopes = make_slopes(numbers)
     for n in range(start, stop):
         cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
         seen = Views(frames.keypoints[n], frames.weights[n])
@@ -294,7 +296,10 @@ def _scores(
                 for p in range(count):
                     if seen.weights[k, p] > 0:
                         point = frames.points[n, p]
-                        _score(point, cameras, seen, found, k, p, information[n], scores[n, p])
+                        _score(
+                            point, cameras, seen, found, k, p, slopes,
+                            information[n], scores[n, p],
+                        )  # fmt: skip
 
 
 @inner
@@ -305,14 +310,13 @@ def _score(
     found: FrameCovariance,
     k: int,
     p: int,
+    slopes: Slopes,
     information: Float64,
     score: Float64,
 ) -> None:
     """Add what a keypoint says of the shared numbers, with the frame following them."""
-    by_point, by_numbers = np.empty((2, 3)), np.empty((2, VIEW))
-    pixel, row, weight = np.empty(2), np.empty(len(score)), seen.weights[k, p]
-    differentiate_keypoint_into(point, cameras, k, by_point, by_numbers)
-    project_keypoint_into(point, cameras, k, pixel)
+    row, weight, by_numbers = np.empty(len(score)), seen.weights[k, p], slopes.by_numbers
+    differentiate_keypoint_into(point, cameras, k, slopes)
     own, free = pose_columns(cameras, k, found.modes.shape[2]), LENS
     if cameras.joined[k]:
         free = VIEW
@@ -320,14 +324,14 @@ def _score(
         for t in range(len(score)):
             row[t] = 0.0
             for i in range(3):
-                row[t] += by_point[a, i] * found.by_cameras[p, i, t]
+                row[t] += slopes.by_point[a, i] * found.by_cameras[p, i, t]
             for number in range(VIEW - free):
                 by_pose = by_numbers[a, LENS + number]
                 row[t] += by_pose * found.unknowns_by_cameras[own + number, t]
         for number in range(free):
             row[VIEW * k + number] += by_numbers[a, number]
         for t in range(len(score)):
-            score[t] += weight * (seen.keypoints[k, p, a] - pixel[a]) * row[t]
+            score[t] += weight * (seen.keypoints[k, p, a] - slopes.pixel[a]) * row[t]
             # The total derivative of the gradient by the shared numbers.
             for number in range(free):
                 information[VIEW * k + number, t] += weight * by_numbers[a, number] * row[t]
