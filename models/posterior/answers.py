@@ -60,7 +60,9 @@ def frames_of(
     in_slices(
         count,
         FRAMES_AT_A_TIME,
-        lambda part: _fill(answers, rig, mean, given, noise, part.start, part.stop, frames),
+        lambda part: fill_frames(
+            answers, rig, mean, given, noise, part.start, part.stop, 0, frames
+        ),
     )
     return frames
 
@@ -73,7 +75,7 @@ def reprojected(frames: Frames, points: Float64) -> Float64:
 
 
 @compiled
-def _fill(
+def fill_frames(
     answers: Answers,
     rig: Rig,
     mean: Float64,
@@ -81,32 +83,35 @@ def _fill(
     noise: Float64,
     start: int,
     stop: int,
+    first: int,
     out: Frames,
 ) -> None:
+    """Write frames from `start` to `stop`; those of `out` and `given` (K, P) begin at `first`."""
     views, count = noise.shape
     members = np.zeros(len(rig.groups))
     for k in range(views):
         members[rig.groups[k]] += 1
     for n in range(start, stop):
+        m = n - first
         for p in range(count):
             for i in range(3):
-                out.points[n, p, i] = answers.points3d[n, p, i]
+                out.points[m, p, i] = answers.points3d[n, p, i]
         apart = answers.findings[n] & RIG_NOT_USED
         for k in range(views):
             placed = answers.camera_models[n, k] > 0
-            out.joined[n, k] = placed and not apart and members[rig.groups[k]] > 1
+            out.joined[m, k] = placed and not apart and members[rig.groups[k]] > 1
             for i in range(3):
-                out.translations[n, k, i] = answers.translations[n, k, i] if placed else 0.0
+                out.translations[m, k, i] = answers.translations[n, k, i] if placed else 0.0
                 for j in range(3):
-                    out.rotations[n, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
-        out.growth[n] = _growth(out.rotations[n], out.translations[n], out.joined[n], rig)
+                    out.rotations[m, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
+        out.growth[m] = _growth(out.rotations[m], out.translations[m], out.joined[m], rig)
         for k in range(views):
             for i in range(3):
-                out.offsets[n, k, i] = out.growth[n] * rig.translations[k, i]
+                out.offsets[m, k, i] = out.growth[m] * rig.translations[k, i]
             for p in range(count):
-                w = given[n, k, p] / noise[k, p] ** 2
-                out.weights[n, k, p] = _weight(out, n, k, p, w) if w > 0 else 0.0
-        _turn_into(out.points[n], mean, out.turned[n])
+                w = given[m, k, p] / noise[k, p] ** 2
+                out.weights[m, k, p] = _weight(out, m, k, p, w) if w > 0 else 0.0
+        _turn_into(out.points[m], mean, out.turned[m])
 
 
 @inner

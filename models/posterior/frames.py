@@ -86,7 +86,7 @@ def covariances_of(
     in_slices(
         count,
         FRAMES_AT_A_TIME,
-        lambda part: _covariances(frames, shapes, factor, part.start, part.stop, out),
+        lambda part: write_covariances(frames, shapes, factor, part.start, part.stop, out),
     )
     return out
 
@@ -152,7 +152,7 @@ def _room_for(
 
 
 @compiled
-def _covariances(
+def write_covariances(
     frames: Frames,
     shapes: ShapeModel,
     factor: Float64,
@@ -160,6 +160,7 @@ def _covariances(
     stop: int,
     out: Covariances,
 ) -> None:
+    """Write covariances of frames from `start` to `stop`; modes only if `out` has room for them."""
     count, shared = frames.points.shape[1], factor.shape[2]
     for n in range(start, stop):
         cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)

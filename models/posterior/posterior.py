@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import VIEW, Rig
+from models.capture.observations import Observations
 from models.network.answers import Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
-from models.posterior.answers import frames_of
-from models.posterior.frames import Covariances, ShapeModel, covariances_of
+from models.numerics.threads import in_slices
+from models.posterior.deviations import write_deviations
+from models.posterior.frames import FRAMES_AT_A_TIME, ShapeModel
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -32,8 +34,8 @@ class Posterior(NamedTuple):
         answers: Answers,
         rig: Rig,
         views: Sequence[int] | None,
-        keypoints: Float64,
-        weights: Float64,
+        seen: Observations,
+        detected: Float32,
     ) -> Float32:
         """Return the expected distance (N, P) of each point from the true one, root mean square.
 
@@ -48,37 +50,29 @@ class Posterior(NamedTuple):
             Of the K views of the answers.
         views
             Which views of the fit they are; None: cameras that it does not know.
-        keypoints, weights
-            (N, K, P, 2) pixels as they were detected, and (N, K, P) confidences, 0 where not used.
+        seen, detected
+            The keypoints; those before noise was removed as in `ObservedFrames`.
         """
-        found = self.covariances(answers, rig, views, keypoints, weights, modes=False)
-        variances = found.blocks.trace(axis1=2, axis2=3)
-        placed: NDArray[np.bool_] = np.any(answers.camera_models > 0, axis=1)
-        return np.where(placed[:, None], np.sqrt(variances.clip(0)), np.nan).astype(np.float32)
-
-    def covariances(
-        self,
-        answers: Answers,
-        rig: Rig,
-        views: Sequence[int] | None,
-        keypoints: Float64,
-        weights: Float64,
-        *,
-        modes: bool = True,
-    ) -> Covariances:
-        """Return the covariances of a lift's points; parameters are those of `deviations`.
-
-        Without `modes` only the blocks are filled.
-        """
-        count = answers.camera_models.shape[1]
-        if views is None:
-            noise = np.tile(np.sqrt(np.square(self.noise).mean(0)), (count, 1))
-            factor = np.zeros((count, VIEW, 1))
-        else:
-            noise, factor = self.noise[list(views)], self.factor[list(views)]
-        frames = frames_of(answers, rig, self.mean, keypoints, weights, noise)
+        noise, factor = self._of(views, seen.weights.shape[1])
+        out = np.full(answers.points3d.shape[:2], np.nan, np.float32)
         shapes = ShapeModel(self.mean, self.basis, self.variances)
-        return covariances_of(frames, shapes, np.ascontiguousarray(factor), modes=modes)
+        in_slices(
+            len(out),
+            FRAMES_AT_A_TIME,
+            lambda part: write_deviations(
+                answers, rig, seen, detected, shapes, noise, factor, part.start, part.stop, out
+            ),
+        )
+        return out
+
+    def _of(self, views: Sequence[int] | None, count: int) -> tuple[Float64, Float64]:
+        """Return noise (K, P) and factor (K, 11, T) of some views."""
+        if views is None:
+            noise = np.sqrt(np.square(self.noise).mean(0))
+            return np.tile(noise, (count, 1)), np.zeros((count, *self.factor.shape[1:]))
+        if tuple(views) == tuple(range(len(self.noise))):
+            return self.noise, self.factor
+        return self.noise[list(views)], np.ascontiguousarray(self.factor[list(views)])
 
     def to_arrays(self) -> Arrays:
         """Return the posterior as tensors, for a file."""
