@@ -51,6 +51,8 @@ def learn_posterior(
     keypoints: Float64,
     weights: Float64,
     deviations: Float64,
+    *,
+    share_left: float = 1.0,
 ) -> Posterior | None:
     """Learn from the frames of a fit and their answers, which have perspective cameras.
 
@@ -64,6 +66,8 @@ def learn_posterior(
         (N, K, P, 2) pixels as they were detected, and (N, K, P) confidences, 0 where not used.
     deviations
         (K, 11) standard deviations that the calibration gives to its numbers; 0 where held.
+    share_left
+        Share of the noise that its removal leaves in keypoints before a lift.
     """
     weights = np.where((answers.camera_models > 0)[..., None], weights, 0.0)
     noise = np.full(weights.shape[1:], _typical(answers, rig, mean, keypoints, weights))
@@ -79,7 +83,7 @@ def learn_posterior(
     shapes = _shapes(located.of(usable))
     frames = frames_of(answers, rig, shapes.mean, keypoints, weights, noise)
     factor = _that_matters(frames, shapes, camera_factor(frames, shapes, rig, deviations))
-    return Posterior(*shapes, noise, factor)
+    return Posterior(*shapes, noise, factor, share_left)
 
 
 def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:

@@ -18,6 +18,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 MOST_COMPONENTS, MOST_FACTORS = 64, 64  # that a file may hold
+NUMBERS = ("mean", "basis", "variances", "noise", "factor")  # that are arrays
 
 
 class Posterior(NamedTuple):
@@ -28,6 +29,7 @@ class Posterior(NamedTuple):
     variances: Float64  # (P,)
     noise: Float64  # (K, P) pixels, of a coordinate of confidence 1
     factor: Float64  # (K, 11, T) the covariance of the cameras' numbers is L L^T
+    left: float  # share of the noise that its removal leaves in keypoints of the fit's views
 
     def deviations(
         self,
@@ -70,9 +72,8 @@ class Posterior(NamedTuple):
         if views is None:
             noise = np.sqrt(np.square(self.noise).mean(0))
             return np.tile(noise, (count, 1)), np.zeros((count, *self.factor.shape[1:]))
-        if tuple(views) == tuple(range(len(self.noise))):
-            return self.noise, self.factor
-        return self.noise[list(views)], np.ascontiguousarray(self.factor[list(views)])
+        chosen = list(views)
+        return self.left * self.noise[chosen], np.ascontiguousarray(self.factor[chosen])
 
     def to_arrays(self) -> Arrays:
         """Return the posterior as tensors, for a file."""
@@ -87,6 +88,7 @@ class Posterior(NamedTuple):
             "variances": (keypoints,),
             "noise": (None, keypoints),
             "factor": (None, VIEW, None),
+            "left": (1,),
         }
 
     @classmethod
@@ -98,13 +100,14 @@ class Posterior(NamedTuple):
         WeightsError
             When the tensors contradict each other.
         """
-        found = cls(
-            *(np.ascontiguousarray(arrays[name].numpy(), np.float64) for name in cls._fields)
-        )
+        numbers = [np.ascontiguousarray(arrays[name].numpy(), np.float64) for name in NUMBERS]
+        mean, basis, variances, noise, factor = numbers
+        found = cls(mean, basis, variances, noise, factor, arrays["left"].item())
         agree = (
             len(found.noise) == len(found.factor)
             and found.basis.shape[2] <= MOST_COMPONENTS
             and found.factor.shape[2] <= MOST_FACTORS
+            and 0 < found.left <= 1
             and bool((found.variances > 0).all() and (found.noise > 0).all())
         )
         if not agree:

@@ -15,13 +15,17 @@ MOST_FRAMES = 300  # that it is learnt from
 
 
 def posterior_of(
-    found: SelfCalibration, prior: FittedPrior, data: Data, detected: Data, frames: Tensor
+    found: SelfCalibration,
+    prior: FittedPrior,
+    data: Data,
+    detected: Data,
+    frames: Tensor,
+    removed_noise: tuple[float, float] | None,
 ) -> Posterior | None:
     """Learn how far answers may be off from some of `frames` (T,), which two views or more show.
 
-    None if keypoints locate points in too few of them.
-
-    `detected` is the data before noise was removed.
+    None if keypoints locate points in too few of them. `detected` is the data before noise was
+    removed, and `removed_noise` that noise and what is left of it, in pixels.
     """
     some = frames[torch.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).long()]
     weights = data.weights[some]
@@ -35,4 +39,5 @@ def posterior_of(
         detected.pixels(some).double().numpy()[there],
         weights.double().numpy()[there],
         found.deviations,
+        share_left=1.0 if removed_noise is None else min(removed_noise[1] / removed_noise[0], 1.0),
     )

@@ -162,8 +162,7 @@ class Teaching:
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
             return prior
-        truer = truer._replace(believed=structures.believed)
-        return self._as_prior(found, curve, skeleton, truer)
+        return self._as_prior(found, curve, skeleton, truer._replace(believed=structures.believed))
 
     def usual(self) -> Usual:
         """Return the usual range of the frames of the fit, with the present network."""
@@ -174,7 +173,8 @@ class Teaching:
         found, frames = self.self_calibration, self._frames_of_several_views(0).sort().values
         if found is None or not len(frames):
             return None
-        return posterior_of(found, self._as_prior(found), self._data, self._detected, frames)
+        seen = self._data, self._detected, frames, self._removed_noise
+        return posterior_of(found, self._as_prior(found), *seen)
 
     def _as_prior(
         self,
