@@ -21,6 +21,7 @@ export interface Take extends Capture, Structures {
   readonly detected: Numbers; // (N, K, P, 2) pixels, NaN where not observed; of frames that are ALL there
   readonly outlierProbability: Numbers; // (N, K, P), NaN where nothing was judged
   readonly viewErrors: Numbers; // (N, K) pixels
+  readonly deviations: Numbers; // (N, P) how far each point may be off, NaN where it is not known
   readonly frameBits: Numbers; // (N,) what was noticed of each frame, a bit a code
   readonly frame: Frame;
   readonly there: Numbers; // (N,) NOTHING, STRUCTURE or ALL
@@ -34,6 +35,7 @@ export interface OpenTake extends Take, StructureArrays {
   readonly detected: Float32Array;
   readonly outlierProbability: Float32Array;
   readonly viewErrors: Float32Array;
+  readonly deviations: Float32Array;
   readonly frameBits: Uint8Array;
   readonly there: Uint8Array;
 }
@@ -64,6 +66,7 @@ export function emptyTake(capture: Capture, frames: number, frame: Frame): OpenT
     },
     outlierProbability: numbers(cameras * keypoints),
     viewErrors: unknown(cameras),
+    deviations: unknown(frames * keypoints),
     frameBits: new Uint8Array(frames),
     there: new Uint8Array(frames),
   };
@@ -74,13 +77,16 @@ export interface Lifted extends StructureArrays {
   readonly outliers: ArrayLike<number> | undefined; // (N, K, P)
   readonly errors: Float32Array; // (N, K) pixels
   readonly bits: ArrayLike<number> | undefined; // (N,)
+  readonly deviations?: ArrayLike<number> | undefined; // (N, P)
 }
 
 /** Puts frames of a reconstruction into a take: `first`, `first + step` and so on. */
 export function putStructures(take: OpenTake, file: Map<string, Tensor>, first: number, step: number): void {
   const outliers = floats(file, "outlier_probability");
   const errors = needed(file, "reprojection_errors");
-  putLifted(take, { ...structuresOf(take, file), outliers, errors, bits: file.get("findings")?.data }, first, step);
+  const deviations = floats(file, "points3d_sd");
+  const bits = file.get("findings")?.data;
+  putLifted(take, { ...structuresOf(take, file), outliers, errors, bits, deviations }, first, step);
 }
 
 /** Places frames as those of the take are, and puts them there. */
@@ -95,6 +101,7 @@ export function putLifted(take: OpenTake, part: Lifted, first: number, step: num
   for (const name of Object.keys(cameras) as (keyof CameraArrays)[]) put(cameras[name], part.cameras[name]);
   put(take.outlierProbability, part.outliers);
   put(take.viewErrors, part.errors);
+  put(take.deviations, part.deviations);
   put(take.frameBits, part.bits);
   for (let frame = first, left = part.frames; left > 0; frame += step, left--) {
     take.there[frame] = Math.max(take.there[frame]!, STRUCTURE);

@@ -28,7 +28,9 @@ function measured(take: Take, frame: number, selected: readonly number[], unit: 
   if (a === undefined) return "Two keypoints have a distance, three an angle at the second.";
   if (b === undefined) {
     const place = [...points.subarray(3 * a, 3 * a + 3)].map((value) => number(value));
-    return `${names[a]} is at x ${place[0]}, y ${place[1]}, z ${place[2]} (${unit}).`;
+    const off = take.deviations[frame * keypoints + a]!;
+    const known = Number.isFinite(off) ? ` It may be off by ${number(off)}.` : "";
+    return `${names[a]} is at x ${place[0]}, y ${place[1]}, z ${place[2]} (${unit}).${known}`;
   }
   const between = (from: number, to: number) =>
     `${names[from]} – ${names[to]}: ${number(lengths(points, keypoints, from, to)[0])} (${unit})`;
