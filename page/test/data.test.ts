@@ -10,6 +10,7 @@ import { partsOf } from "../src/datasets/parts.ts";
 import { openCapture } from "../src/data/capture.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
 import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE, type Frame } from "../src/data/take.ts";
+import { floats } from "../src/data/tensor.ts";
 import { frameErrors, keypointErrors, LEFT_OUT, UNSEEN } from "../src/science/errors.ts";
 import { angles, coordinates, lengths, speeds } from "../src/science/measures.ts";
 import { project } from "../src/science/projection.ts";
@@ -106,6 +107,7 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
   assert.deepEqual([...parts.there.slice(3)], [STRUCTURE, ALL, ALL]);
   putDetected(parts, await detected(0, 4), 0);
   assert.deepEqual(parts, whole);
+  assert.deepEqual(nulls(whole.deviations as Float32Array), nulls(floats(reconstruction(), "points3d_sd")!));
 });
 
 test("messages of a stream are those of the service", { skip }, () => {

@@ -96,6 +96,7 @@ def write_cases(folder: Path) -> None:
     arrays = {
         **{name: np.ascontiguousarray(array) for name, array in cameras.items()},
         "points3d": points,
+        "points3d_sd": np.abs(points[..., 0]) / 10,
         "outlier_probability": outliers,
         "reprojection_errors": view_errors,
     }
