@@ -107,7 +107,7 @@ test("a take whose frames come in parts is that which came whole", { skip }, asy
   assert.deepEqual([...parts.there.slice(3)], [STRUCTURE, ALL, ALL]);
   putDetected(parts, await detected(0, 4), 0);
   assert.deepEqual(parts, whole);
-  assert.deepEqual(nulls(whole.deviations as Float32Array), nulls(floats(reconstruction(), "points3d_sd")!));
+  assert.deepEqual(nulls(whole.deviations), nulls(floats(reconstruction(), "points3d_sd")!));
 });
 
 test("messages of a stream are those of the service", { skip }, () => {

@@ -45,8 +45,11 @@ CONFIGS = {
     ),
 }
 # The cameras move here; to look for static ones takes time, and is the same for all.
-SMALL = FitConfig(steps=40, batch_size=16, dictionary_sizes=(24, 8), cameras="moving")
-DEFAULTS = [SMALL.model_copy(update={"prior": name}) for name in PRIORS]
+SMALL = {"steps": 40, "batch_size": 16, "cameras": "moving"}
+SIZES = {"hierarchical": {"dictionary_sizes": (24, 8)}}  # others have small ones by themselves
+DEFAULTS = [
+    FitConfig.model_validate({**SMALL, "prior": name, **SIZES.get(name, {})}) for name in PRIORS
+]
 KEYPOINTS = 11
 
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
