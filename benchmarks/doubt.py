@@ -1,4 +1,4 @@
-"""How far points are off, beside how far lifts say they may be, on drawn rigs and motions.
+"""How far points are off, beside how far lifts expect them to be, on drawn rigs and motions.
 
     python -m benchmarks.doubt --help
 
@@ -101,8 +101,9 @@ def measure(draw: Draw) -> Row | None:
     errors = np.linalg.norm(aligned - points, axis=-1)
     expected = lift.points3d_sd.astype(np.float64)
     once = known & (views == 1) & twice.any(1, keepdims=True)
-    sizes = np.sqrt(np.nansum(np.nanvar(points, 1), -1))[twice.any(1)]
-    unit = draw.height * np.median(sizes) / np.median(_sizes(truth[twice.any(1)]))
+    there = twice.any(1)
+    ours = _sizes(np.where(twice[..., None], points, np.nan)[there])
+    unit = draw.height * np.median(ours) / np.median(_sizes(truth[there]))
     ranks = [
         spearmanr(error[seen], sd[seen]).statistic
         for error, sd, seen in zip(errors, expected, twice, strict=True)

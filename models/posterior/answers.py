@@ -43,19 +43,8 @@ def frames_of(
     noise
         (K, P) pixels, standard deviations of a coordinate of confidence 1.
     """
-    count, views, points = weights.shape
-    frames = Frames(
-        np.empty((count, points, 3)),
-        np.empty((count, views, 3, 3)),
-        np.empty((count, views, 3)),
-        rig.lenses,
-        np.empty((count, views), np.bool_),
-        np.empty((count, views, 3)),
-        np.empty(count),
-        np.ascontiguousarray(keypoints),
-        np.empty((count, views, points)),
-        np.empty((count, 3, 3)),
-    )
+    count = len(weights)
+    frames = make_frames(np.ascontiguousarray(keypoints), rig)
     given = np.ascontiguousarray(weights)
     in_slices(
         count,
@@ -72,6 +61,24 @@ def reprojected(frames: Frames, points: Float64) -> Float64:
     held = points[:, None] @ frames.rotations.mT + frames.translations[:, :, None]
     held[..., 2] = np.where(held[..., 2] > 0, held[..., 2], 1.0)
     return project(held, frames.lenses)
+
+
+@compiled
+def make_frames(keypoints: Float64, rig: Rig) -> Frames:
+    """Return frames of keypoints (N, K, P, 2); all else is to be written."""
+    count, views, points, _ = keypoints.shape
+    return Frames(
+        np.empty((count, points, 3)),
+        np.empty((count, views, 3, 3)),
+        np.empty((count, views, 3)),
+        rig.lenses,
+        np.empty((count, views), np.bool_),
+        np.empty((count, views, 3)),
+        np.empty(count),
+        keypoints,
+        np.empty((count, views, points)),
+        np.empty((count, 3, 3)),
+    )
 
 
 @compiled

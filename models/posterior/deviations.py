@@ -9,8 +9,8 @@ from models.bundle.problem import Rig
 from models.capture.observations import Observations
 from models.network.answers import Answers
 from models.numerics.compiled import compiled
-from models.posterior.answers import fill_frames
-from models.posterior.frames import Covariances, Frames, ShapeModel, write_covariances
+from models.posterior.answers import fill_frames, make_frames
+from models.posterior.frames import Covariances, LearntShapes, write_covariances
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -22,7 +22,7 @@ def write_deviations(
     rig: Rig,
     seen: Observations,
     detected: Float32,
-    shapes: ShapeModel,
+    shapes: LearntShapes,
     noise: Float64,
     factor: Float64,
     start: int,
@@ -43,18 +43,7 @@ def write_deviations(
                 for i in range(2):
                     pixel = seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
                     keypoints[n - start, k, p, i] = detected[n, k, p, i] if known else pixel
-    frames = Frames(
-        np.empty((some, count, 3)),
-        np.empty((some, views, 3, 3)),
-        np.empty((some, views, 3)),
-        rig.lenses,
-        np.empty((some, views), np.bool_),
-        np.empty((some, views, 3)),
-        np.empty(some),
-        keypoints,
-        np.empty((some, views, count)),
-        np.empty((some, 3, 3)),
-    )
+    frames = make_frames(keypoints, rig)
     fill_frames(answers, rig, shapes.mean, weights, noise, start, stop, start, frames)
     found = Covariances(
         np.full((some, count, 3, 3), np.nan),

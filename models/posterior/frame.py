@@ -9,7 +9,8 @@ The factors are, with robust weights w and everything in the canonical frame of 
 - the numbers theta of the cameras that all frames share, `theta ~ N(0, L L^T)`.
 
 Points are eliminated first, then the other unknowns y of the frame (the similarity, z, and poses).
-With A_p and W_p what keypoints say of X_p and of X_p with theta, c_p the coupling of X_p and y,
+With A_p the information of keypoints on X_p, W_p that on X_p and theta together, c_p the coupling
+of X_p and y,
 V_p = (A_p + 1 / eta_p^2)^-1 and H = O - sum c_p^T V_p c_p:
 
     Cov X_p = V_p + (V_p c_p) H^-1 (V_p c_p)^T + G_p Sigma_theta G_p^T

@@ -51,7 +51,7 @@ class Frames(NamedTuple):
     turned: Float64  # (N, 3, 3) scale times rotation, from the shapes' mean to the answer
 
 
-class ShapeModel(NamedTuple):
+class LearntShapes(NamedTuple):
     """The shapes of a fit: x = mean + B z + e, e_p of variance eta^2 in each direction."""
 
     mean: Float64  # (P, 3)
@@ -68,7 +68,7 @@ class Covariances(NamedTuple):
 
 
 def covariances_of(
-    frames: Frames, shapes: ShapeModel, factor: Float64, *, modes: bool = True
+    frames: Frames, shapes: LearntShapes, factor: Float64, *, modes: bool = True
 ) -> Covariances:
     """Return the covariances of points, given the factor L (K, 11, T) of shared cameras.
 
@@ -91,7 +91,7 @@ def covariances_of(
     return out
 
 
-def scores_of(frames: Frames, shapes: ShapeModel) -> tuple[Float64, Float64]:
+def scores_of(frames: Frames, shapes: LearntShapes) -> tuple[Float64, Float64]:
     """Return the information (11 K, 11 K) on the shared numbers, and scores (N, P, 11 K).
 
     Each frame follows the shared numbers. A score is the part of the gradient of the log
@@ -122,7 +122,7 @@ def _cameras_of(frames: Frames, factor: Float64, n: int) -> FrameCameras:
 
 
 @inner
-def _shapes_of(frames: Frames, shapes: ShapeModel, n: int) -> ShapeFactor:
+def _shapes_of(frames: Frames, shapes: LearntShapes, n: int) -> ShapeFactor:
     """Turn and scale the basis, and scale the variances, as the answer is."""
     count, _, size = shapes.basis.shape
     turned, columns = frames.turned[n], np.zeros(shapes.basis.shape)
@@ -154,7 +154,7 @@ def _room_for(
 @compiled
 def write_covariances(
     frames: Frames,
-    shapes: ShapeModel,
+    shapes: LearntShapes,
     factor: Float64,
     start: int,
     stop: int,
@@ -275,7 +275,7 @@ def _carried_by(axes: Float64, own: Float64) -> tuple[Float64, Float64]:
 @compiled
 def _scores(
     frames: Frames,
-    shapes: ShapeModel,
+    shapes: LearntShapes,
     start: int,
     stop: int,
     information: Float64,
@@ -315,7 +315,7 @@ def _score(
     information: Float64,
     score: Float64,
 ) -> None:
-    """Add what a keypoint says of the shared numbers, with the frame following them."""
+    """Add a keypoint's information on the shared numbers, with the frame following them."""
     row, weight, by_numbers = np.empty(len(score)), seen.weights[k, p], slopes.by_numbers
     differentiate_keypoint_into(point, cameras, k, slopes)
     own, free = pose_columns(cameras, k, found.modes.shape[2]), LENS

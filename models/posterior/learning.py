@@ -16,7 +16,7 @@ from models.calibrating.shape_evidence import (
 from models.capture.metrics import procrustes_by_size
 from models.network.answers import Answers
 from models.posterior.answers import frames_of, reprojected
-from models.posterior.frames import Frames, ShapeModel, covariances_of, scores_of
+from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
 from models.posterior.posterior import Posterior
 
 Float64 = NDArray[np.float64]
@@ -134,7 +134,7 @@ def _slopes(pixels_of: Callable[[Float64], Float64], points: Float64) -> Float64
     )
 
 
-def _shapes(located: Located) -> ShapeModel:
+def _shapes(located: Located) -> LearntShapes:
     """Learn shapes from points that keypoints alone locate.
 
     What is left of a keypoint is what the other keypoints leave open of it, in frames that shapes
@@ -152,7 +152,7 @@ def _shapes(located: Located) -> ShapeModel:
     own = learnt.left.trace(axis1=1, axis2=2) / 3
     typical = left.sum() / max(float(counts.sum()), TINY) if counts.any() else own.mean()
     variances = np.maximum(own, (left + POOLED * typical) / (counts + POOLED)) + LEAST_SPREAD**2
-    return ShapeModel(*(np.ascontiguousarray(a) for a in (learnt.mean, learnt.basis, variances)))
+    return LearntShapes(*(np.ascontiguousarray(a) for a in (learnt.mean, learnt.basis, variances)))
 
 
 def _predicted(shapes: LocatedShapes, located: Located) -> tuple[Float64, Float64]:
@@ -204,7 +204,7 @@ def _typical(
     return max(float(np.sqrt(np.median(off[weights > 0]) / HALF)), LEAST_NOISE)
 
 
-def camera_factor(frames: Frames, shapes: ShapeModel, rig: Rig, deviations: Float64) -> Float64:
+def camera_factor(frames: Frames, shapes: LearntShapes, rig: Rig, deviations: Float64) -> Float64:
     """Return L (K, 11, T): the covariance of cameras that errors which repeat leave (sandwich).
 
     Errors repeat within a keypoint and within a block of frames (Cameron, Gelbach and Miller,
@@ -242,7 +242,7 @@ def camera_factor(frames: Frames, shapes: ShapeModel, rig: Rig, deviations: Floa
     return np.ascontiguousarray(whole.reshape(views, VIEW, -1))
 
 
-def _that_matters(frames: Frames, shapes: ShapeModel, factor: Float64) -> Float64:
+def _that_matters(frames: Frames, shapes: LearntShapes, factor: Float64) -> Float64:
     """Keep the few directions of a factor (K, 11, T) that move points."""
     moved = covariances_of(frames, shapes, factor).by_cameras.reshape(-1, factor.shape[2])
     moved = moved[np.isfinite(moved).all(1)]
@@ -283,7 +283,7 @@ def _with_lenses(factor: Float64, places: NDArray[np.int64], deviations: Float64
     wanted = deviations.ravel()[places[lenses]]
     asked = among * np.outer(wanted / sds, wanted / sds)
     follow = np.linalg.solve(among + 1e-12 * np.diag(among.diagonal()), covariance[lenses]).T
-    rest = covariance - follow @ covariance[lenses]
-    total = rest + follow @ asked @ follow.T
+    given_lenses = covariance - follow @ covariance[lenses]
+    total = given_lenses + follow @ asked @ follow.T
     values, vectors = np.linalg.eigh((total + total.T) / 2)
     return np.asarray(vectors * np.sqrt(values.clip(0)))

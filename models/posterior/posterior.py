@@ -12,7 +12,7 @@ from models.network.answers import Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 from models.posterior.deviations import write_deviations
-from models.posterior.frames import FRAMES_AT_A_TIME, ShapeModel
+from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -24,7 +24,7 @@ NUMBERS = ("mean", "basis", "variances", "noise", "factor")  # that are arrays
 class Posterior(NamedTuple):
     """Shapes, noise and cameras of a fit of K views and P keypoints."""
 
-    mean: Float64  # (P, 3) of `ShapeModel`
+    mean: Float64  # (P, 3) of `LearntShapes`
     basis: Float64  # (P, 3, Q)
     variances: Float64  # (P,)
     noise: Float64  # (K, P) pixels, of a coordinate of confidence 1
@@ -57,7 +57,7 @@ class Posterior(NamedTuple):
         """
         noise, factor = self._of(views, seen.weights.shape[1])
         out = np.full(answers.points3d.shape[:2], np.nan, np.float32)
-        shapes = ShapeModel(self.mean, self.basis, self.variances)
+        shapes = LearntShapes(self.mean, self.basis, self.variances)
         in_slices(
             len(out),
             FRAMES_AT_A_TIME,

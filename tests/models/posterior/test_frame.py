@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from models.bundle.problem import LENS, VIEW
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, project
-from models.posterior.frames import Frames, ShapeModel, covariances_of, scores_of
+from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
 
 Float64 = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Case:
         self.joined = np.array(joined)
         self.mean = rng.standard_normal((POINTS, 3))
         self.mean -= self.mean.mean(0)
-        self.shapes = ShapeModel(
+        self.shapes = LearntShapes(
             self.mean,
             0.3 * rng.standard_normal((POINTS, 3, COMPONENTS)),
             rng.uniform(0.01, 0.05, POINTS),
