@@ -217,8 +217,9 @@ def camera_factor(frames: Frames, shapes: LearntShapes, rig: Rig, deviations: Fl
         return np.zeros((views, VIEW, 1))
     information, scores = scores_of(frames, shapes)
     information = (information + information.T) / 2
-    clusters = (scores.sum(0), _by_block(scores.sum(1)))
-    scatter = sum(part.T @ part for part in clusters)
+    blocks = _by_block(scores)  # (B, P, 11 K)
+    by_keypoint, by_block, both = blocks.sum(0), blocks.sum(1), blocks.reshape(-1, len(free))
+    scatter = by_keypoint.T @ by_keypoint + by_block.T @ by_block - both.T @ both
     precision = _prior_precision(rig)
     growth = np.zeros((views, VIEW))
     growth[:, LENS + 3 :] = rig.translations * rig.static[:, None]
@@ -232,7 +233,7 @@ def camera_factor(frames: Frames, shapes: LearntShapes, rig: Rig, deviations: Fl
         scaled += len(root) * np.outer(held, held)
     values, vectors = np.linalg.eigh(scaled)
     half = vectors / np.sqrt(values.clip(1e-12 * values[-1])) / root[:, None]  # Sigma = half half^T
-    scattered = np.asarray(scatter)[np.ix_(free, free)] + np.diag(precision[free])
+    scattered = scatter[np.ix_(free, free)] + np.diag(precision[free])
     effects, turns = np.linalg.eigh(half.T @ scattered @ half)
     factor = half @ (turns * np.sqrt(effects.clip(1.0)))
     if views == 2 and rig.static.all():
@@ -253,10 +254,9 @@ def _that_matters(frames: Frames, shapes: LearntShapes, factor: Float64) -> Floa
 
 
 def _by_block(scores: Float64) -> Float64:
-    """Add up scores (N, T) of blocks of neighbouring frames."""
-    count = min(BLOCKS, len(scores))
-    block = np.arange(len(scores)) * count // len(scores)
-    return np.stack([np.bincount(block, column, count) for column in scores.T], 1)
+    """Add up scores (N, P, T) of blocks of neighbouring frames."""
+    first = np.arange(min(BLOCKS, len(scores))) * len(scores) // min(BLOCKS, len(scores))
+    return np.asarray(np.add.reduceat(scores, first, 0))
 
 
 def _prior_precision(rig: Rig) -> Float64:
