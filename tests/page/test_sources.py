@@ -45,7 +45,6 @@ def test_components_show_and_do_what_they_should(page: Path) -> None:
     node(page, "--import", "./test/components/tsx.mjs", "--test", "test/components/*.test.tsx")
 
 
-@pytest.mark.thorough
 def test_nothing_is_left_for_the_linter_and_the_formatter(page: Path) -> None:
     node(page, "node_modules/eslint/bin/eslint.js", ".")
     node(page, "node_modules/prettier/bin/prettier.cjs", "--check", ".")
