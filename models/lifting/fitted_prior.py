@@ -39,7 +39,7 @@ from models.numerics.tensor_files import (
     without_prefix,
 )
 from models.posterior.posterior import Posterior
-from models.settings.config import FitConfig, Refine
+from models.settings.config import FitConfig, Refine, Uncertainty
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
     MIN_KEYPOINTS,
@@ -172,6 +172,7 @@ class FittedPrior:
         previous: LiftedFrames | None = None,
         times: ArrayLike | None = None,
         only: slice | None = None,
+        uncertainty: Uncertainty = "sd",
     ) -> LiftedFrames:
         """Lift frames (N, K, P, 2) in pixels, with any number of views K and any gaps.
 
@@ -200,6 +201,9 @@ class FittedPrior:
             time, if the fit had times too and these are views of it.
         only
             Which of the frames to answer; the others are there to be neighbours. Default: all.
+        uncertainty
+            `sd`: with `points3d_sd`. `full`: with `points3d_covariance` and `points3d_modes`, too.
+            `off`: without. Only refined frames have them (see `models.posterior`).
 
         Raises
         ------
@@ -211,7 +215,9 @@ class FittedPrior:
         observed = self.observe(keypoints, confidence=confidence, views=views, times=times)
         if only is not None:
             observed = observed.frames(only)
-        return self.lift_observed(observed, refine=refine, previous=previous)
+        return self.lift_observed(
+            observed, refine=refine, previous=previous, uncertainty=uncertainty
+        )
 
     def observe(
         self,
@@ -245,6 +251,7 @@ class FittedPrior:
         *,
         refine: Refine | None = None,
         previous: LiftedFrames | None = None,
+        uncertainty: Uncertainty = "sd",
     ) -> LiftedFrames:
         """Lift observed frames: the second half of `lift`, with its arguments.
 
@@ -277,8 +284,10 @@ class FittedPrior:
         )
         answers = lift_frames(lifter, observed, before)
         lift = LiftedFrames(*answers)
-        if self._posterior is not None and lifter.refiner is not None:
-            lift = with_deviations(lift, self._posterior, lifter.refiner.rig, observed)
+        if uncertainty != "off":
+            rig = None if lifter.refiner is None else lifter.refiner.rig
+            full = uncertainty == "full"
+            lift = with_deviations(lift, self._posterior, rig, observed, modes=full)
         lift = without_unlikely(lift, self.capture.structure)
         return lift.among(self.capture.known)
 

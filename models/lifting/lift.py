@@ -35,6 +35,9 @@ FINDING_BITS: dict[int, LiftCode] = {
     OTHER_SCALE: "coordinates_of_another_scale",
     NOT_IN_ROOM: "not_in_room",
 }
+# The arrays (N, P, ...) of points, NaN where there is no point.
+_OF_POINTS = ("points3d", "points3d_sd", "points3d_covariance", "points3d_modes")
+_IF_ASKED = frozenset({"points3d_covariance", "points3d_modes"})
 _INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
 
@@ -61,34 +64,47 @@ class LiftedFrames(Answers):
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays under the names that they have in files and on the wire."""
-        return {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
+        arrays = {name: value for name, value in self._asdict().items() if name not in _INTERNAL}
+        return {
+            name: value
+            for name, value in arrays.items()
+            if name not in _IF_ASKED or value.shape[-1]
+        }
 
     def of_keypoints(self, chosen: NDArray[np.bool_]) -> "LiftedFrames":
         """Return the lift of some of the P keypoints."""
         if chosen.all():
             return self
         return self._replace(
-            points3d=self.points3d[:, chosen],
-            points3d_sd=self.points3d_sd[:, chosen],
             keypoints_seen=self.keypoints_seen[:, chosen],
             outlier_probability=self.outlier_probability[:, :, chosen],
+            **{name: getattr(self, name)[:, chosen] for name in _OF_POINTS},
         )
 
     def among(self, known: NDArray[np.bool_]) -> "LiftedFrames":
         """Return the lift of Q keypoints as one of P, of which Q are known; the others are NaN."""
         if known.all():
             return self
-        points = np.full((len(self.points3d), len(known), 3), np.nan, np.float32)
-        points[:, known] = self.points3d
-        sds = np.full(points.shape[:2], np.nan, np.float32)
-        sds[:, known] = self.points3d_sd
-        seen = np.zeros(points.shape[:2], np.uint8)
+        frames, keypoints = len(self.points3d), len(known)
+        points = {}
+        for name in _OF_POINTS:
+            some = getattr(self, name)
+            points[name] = np.full((frames, keypoints, *some.shape[2:]), np.nan, np.float32)
+            points[name][:, known] = some
+        seen = np.zeros((frames, keypoints), np.uint8)
         seen[:, known] = self.keypoints_seen
-        judged = np.full((*self.scales.shape, len(known)), np.nan, np.float32)
+        judged = np.full((*self.scales.shape, keypoints), np.nan, np.float32)
         judged[:, :, known] = self.outlier_probability
-        return self._replace(
-            points3d=points, points3d_sd=sds, keypoints_seen=seen, outlier_probability=judged
-        )
+        return self._replace(keypoints_seen=seen, outlier_probability=judged, **points)
+
+    def without_points(self, nowhere: NDArray[np.bool_]) -> "LiftedFrames":
+        """Return the lift with NaN for some points (N, P)."""
+        if not nowhere.any():
+            return self
+        points = {name: getattr(self, name).copy() for name in _OF_POINTS}
+        for array in points.values():
+            array[nowhere] = np.nan
+        return self._replace(**points)
 
     def frames(self, chosen: slice | NDArray[np.bool_]) -> "LiftedFrames":
         """Return some of the frames; of a slice, as views of the arrays."""

@@ -45,11 +45,9 @@ def without_unlikely(lift: LiftedFrames, usual: Float32) -> LiftedFrames:
     asked = (twice & np.isfinite(usual[:, 0])).sum(1) >= MIN_KEYPOINTS
     if not asked.any():
         return lift
-    points, seen = lift.points3d.copy(), twice[asked]
-    off = procrustes_by_size(points[asked], np.where(seen[..., None], usual, np.nan)) - usual
+    seen = twice[asked]
+    off = procrustes_by_size(lift.points3d[asked], np.where(seen[..., None], usual, np.nan)) - usual
     radius = np.sqrt(np.nansum(np.nanvar(usual, 0)))
-    far = ~seen & (np.linalg.norm(off, axis=-1) > FURTHEST * radius)
-    points[asked] = np.where(far[..., None], np.float32(np.nan), points[asked])
-    sds = lift.points3d_sd.copy()
-    sds[asked] = np.where(far, np.float32(np.nan), sds[asked])
-    return lift._replace(points3d=points, points3d_sd=sds)
+    unlikely = np.zeros(twice.shape, np.bool_)
+    unlikely[asked] = ~seen & (np.linalg.norm(off, axis=-1) > FURTHEST * radius)
+    return lift.without_points(unlikely)

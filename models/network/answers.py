@@ -40,6 +40,11 @@ class Answers(NamedTuple):
     # (N, P): expected distance from the true point, root mean square, in units of the structure;
     # NaN where it is not known (see `models.posterior`).
     points3d_sd: Float32
+    # Of points, in squares of that unit; (N, P, 0) and (N, P, 3, 0) unless they are asked for. The
+    # covariance of a structure is Sigma (3 P, 3 P) = blockdiag(C - U U^T) + U U^T with blocks C
+    # and modes U, which carry what points share.
+    points3d_covariance: Float32  # (N, P, 6) xx, xy, xz, yy, yz, zz
+    points3d_modes: Float32  # (N, P, 3, MODES)
     findings: NDArray[np.uint8]  # (N,) sums of the bits below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the previous answer
     # The figures behind the findings:
@@ -50,6 +55,9 @@ class Answers(NamedTuple):
 
 # The bits of `Answers.findings`; the codes in `models.findings` explain them.
 RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE, NOT_IN_ROOM = 1, 2, 4, 8
+
+
+MODES = 12  # of `Answers.points3d_modes`, if there are any
 
 
 class Usual(NamedTuple):
@@ -82,6 +90,8 @@ def make_answers(frames: int, views: int, keypoints: int) -> Answers:
         keypoints_seen=np.empty((frames, keypoints), np.uint8),
         outlier_probability=np.full((*per_view, keypoints), np.nan, np.float32),
         points3d_sd=np.full((frames, keypoints), np.nan, np.float32),
+        points3d_covariance=np.empty((frames, keypoints, 0), np.float32),
+        points3d_modes=np.empty((frames, keypoints, 3, 0), np.float32),
         findings=np.empty(frames, np.uint8),
         continued=np.empty(frames, np.bool_),
         sizes=np.empty(frames, np.float32),

@@ -27,11 +27,12 @@ def write_deviations(
     factor: Float64,
     start: int,
     stop: int,
+    found: Covariances,
     out: Float32,
 ) -> None:
     """Write deviations (N, P) of frames from `start` to `stop`; see `Posterior.deviations`.
 
-    A frame without a perspective camera stays as it is.
+    A frame without a perspective camera stays as it is. `found` has room for these frames.
     """
     some, (views, count) = stop - start, noise.shape
     keypoints, weights = np.zeros((some, views, count, 2)), np.zeros((some, views, count))
@@ -45,18 +46,15 @@ def write_deviations(
                     keypoints[n - start, k, p, i] = detected[n, k, p, i] if known else pixel
     frames = make_frames(keypoints, rig)
     fill_frames(answers, rig, shapes.mean, weights, noise, start, stop, start, frames)
-    found = Covariances(
-        np.full((some, count, 3, 3), np.nan),
-        np.empty((0, count, 3, 0)),
-        np.empty((0, count, 3, 0)),
-    )
     write_covariances(frames, shapes, factor, 0, some, found)
     for n in range(start, stop):
         placed = False
         for k in range(views):
             placed = placed or answers.camera_models[n, k] > 0
-        for p in range(count if placed else 0):
+        for p in range(count):
             block = found.blocks[n - start, p]
             squared = block[0, 0] + block[1, 1] + block[2, 2]
-            if math.isfinite(squared):
+            if placed and math.isfinite(squared):
                 out[n, p] = math.sqrt(max(squared, 0.0))
+            else:
+                block[:] = np.nan

@@ -1,7 +1,7 @@
 """Covariances of the points of many frames, in the frame of reference that moves with the subject.
 
 An answer's place, direction and, where no rig gives it, size belong to its cameras, not to its
-structure. So they are projected out of its covariance.
+structure. So they are projected out of what its points share.
 """
 
 import math
@@ -63,8 +63,8 @@ class Covariances(NamedTuple):
     """Covariances of N structures; NaN where nothing determines them."""
 
     blocks: Float64  # (N, P, 3, 3) of each point, all causes together
-    modes: Float64  # (N, P, 3, R) what points share
-    by_cameras: Float64  # (N, P, 3, T) of it, the part of the shared cameras
+    modes: Float64  # (N, P, 3, R) what points share, given the shared cameras
+    by_cameras: Float64  # (N, P, 3, T) what they share by these
 
 
 def covariances_of(
@@ -75,20 +75,27 @@ def covariances_of(
     Modes have the columns of each frame's unknowns, 0 where a frame has fewer. Without `modes`
     these and the part of the cameras are those of no frames.
     """
-    count, points, _ = frames.points.shape
-    size = SIMILARITY + shapes.basis.shape[2] + EXTRINSICS * frames.joined.shape[1]
-    some = count if modes else 0
-    out = Covariances(
-        np.full((count, points, 3, 3), np.nan),
-        np.zeros((some, points, 3, size)),
-        np.zeros((some, points, 3, factor.shape[2])),
-    )
+    out = make_covariances(len(frames.points), shapes, factor, modes=modes)
     in_slices(
-        count,
+        len(frames.points),
         FRAMES_AT_A_TIME,
         lambda part: write_covariances(frames, shapes, factor, part.start, part.stop, out),
     )
     return out
+
+
+def make_covariances(
+    frames: int, shapes: LearntShapes, factor: Float64, *, modes: bool
+) -> Covariances:
+    """Return room for the covariances of so many frames; see `covariances_of`."""
+    points, _, size = shapes.basis.shape
+    size += SIMILARITY + EXTRINSICS * len(factor)
+    some = frames if modes else 0
+    return Covariances(
+        np.full((frames, points, 3, 3), np.nan),
+        np.zeros((some, points, 3, size)),
+        np.zeros((some, points, 3, factor.shape[2])),
+    )
 
 
 def scores_of(frames: Frames, shapes: LearntShapes) -> tuple[Float64, Float64]:
@@ -172,7 +179,7 @@ def write_covariances(
         axes = _gauge(frames.points[n], size)
         _project(axes, found.modes)
         _project(axes, found.by_cameras)
-        _write_blocks(axes, found, out.blocks[n])
+        _write_blocks(found, out.blocks[n])
         for p in range(count if len(out.modes) else 0):
             for i in range(3):
                 for a in range(found.modes.shape[2]):
@@ -239,37 +246,17 @@ def _project(axes: Float64, columns: Float64) -> None:
 
 
 @inner
-def _write_blocks(axes: Float64, found: FrameCovariance, blocks: Float64) -> None:
-    """Write each point's covariance (P, 3, 3); `found` has projected modes."""
-    carried, middle = _carried_by(axes, found.own)
+def _write_blocks(found: FrameCovariance, blocks: Float64) -> None:
+    """Write each point's covariance (P, 3, 3)."""
     for p in range(len(blocks)):
         for i in range(3):
             for j in range(3):
                 block = found.own[p, i, j]
-                for a in range(len(axes)):
-                    block -= axes[a, p, i] * carried[a, p, j] + carried[a, p, i] * axes[a, p, j]
-                    for b in range(len(axes)):
-                        block += axes[a, p, i] * middle[a, b] * axes[b, p, j]
                 for c in range(found.modes.shape[2]):
                     block += found.modes[p, i, c] * found.modes[p, j, c]
                 for t in range(found.by_cameras.shape[2]):
                     block += found.by_cameras[p, i, t] * found.by_cameras[p, j, t]
                 blocks[p, i, j] = block
-
-
-@inner
-def _carried_by(axes: Float64, own: Float64) -> tuple[Float64, Float64]:
-    """Return axes times blocks (A, P, 3), and that times the axes (A, A)."""
-    size, count, _ = axes.shape
-    carried, middle = np.zeros((size, count, 3)), np.zeros((size, size))
-    for a in range(size):
-        for p in range(count):
-            for i in range(3):
-                for j in range(3):
-                    carried[a, p, i] += axes[a, p, j] * own[p, j, i]
-                for b in range(size):
-                    middle[a, b] += carried[a, p, i] * axes[b, p, i]
-    return carried, middle
 
 
 @compiled

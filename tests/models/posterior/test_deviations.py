@@ -2,6 +2,7 @@
 
 import json
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from safetensors.numpy import load, save
 from models.capture.metrics import procrustes_by_size
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
-from models.settings.config import FitConfig
+from models.settings.config import FitConfig, Uncertainty
 from models.training.trainer import fit
 from tests.models.rigs import RigCapture, make_rig_capture
 from tests.sharing import fitted_once
@@ -77,6 +78,68 @@ def test_noisier_keypoints_of_unknown_cameras_leave_more_doubt() -> None:
     sds = prior().lift(capture().keypoints[LATER]).points3d_sd
     two = prior().lift(capture().keypoints[LATER, :2]).points3d_sd  # cameras of their own
     assert np.nanmedian(two) > np.median(sds)
+
+
+def dense(covariances: NDArray[np.float32], modes: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return Sigma (N, 3 P, 3 P) of covariances (N, P, 6) and modes (N, P, 3, r)."""
+    frames, count = covariances.shape[:2]
+    rows = modes.astype(np.float64).reshape(frames, 3 * count, -1)
+    whole = rows @ rows.mT
+    for p in range(count):
+        block = whole[:, 3 * p : 3 * p + 3, 3 * p : 3 * p + 3]
+        block[:] = covariances[:, p][:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    return whole
+
+
+def test_covariances_are_of_the_deviations() -> None:
+    keypoints = capture().keypoints[LATER]
+    lift, plain = prior().lift(keypoints, uncertainty="full"), prior().lift(keypoints)
+    np.testing.assert_array_equal(lift.points3d_sd, plain.points3d_sd)
+    assert lift.points3d_covariance.shape == (*lift.points3d_sd.shape, 6)
+    assert "points3d_covariance" in lift.arrays
+    assert "points3d_covariance" not in plain.arrays
+    whole = dense(lift.points3d_covariance, lift.points3d_modes)
+    variances = whole.diagonal(axis1=1, axis2=2).reshape(*lift.points3d_sd.shape, 3).sum(-1)
+    np.testing.assert_allclose(np.sqrt(variances), lift.points3d_sd, rtol=1e-4)
+    values = np.linalg.eigvalsh(whole)
+    assert values.min() > -1e-3 * values.max()
+
+
+def test_lengths_are_off_by_what_covariances_expect() -> None:
+    lift = prior().lift(capture().keypoints[LATER], uncertainty="full")
+    points = lift.points3d.astype(np.float64)
+    truth = procrustes_by_size(capture().points3d[LATER], points)
+    whole = dense(lift.points3d_covariance, lift.points3d_modes)
+    scores = []
+    for p, q in combinations(range(points.shape[1]), 2):
+        apart = points[:, p] - points[:, q]
+        length = np.linalg.norm(apart, axis=-1)
+        slopes = np.zeros(points.shape)
+        slopes[:, p], slopes[:, q] = apart / length[:, None], -apart / length[:, None]
+        rows = slopes.reshape(len(points), 1, -1)
+        variance = (rows @ whole @ rows.mT)[:, 0, 0]
+        off = np.linalg.norm(truth[:, p] - truth[:, q], axis=-1) - length
+        scores.append(np.square(off) / variance)
+    assert 0.5 < np.mean(scores) < 2
+
+
+@pytest.mark.parametrize("uncertainty", ["off", "full"])
+def test_null_points_have_no_covariance(uncertainty: Uncertainty) -> None:
+    keypoints = capture().keypoints[LATER].copy()
+    keypoints[0] = np.nan
+    lift = prior().lift(keypoints, uncertainty=uncertainty)
+    assert np.isnan(lift.points3d_sd[0]).all()
+    assert np.isnan(lift.points3d_covariance[0]).all()
+    assert np.isnan(lift.points3d_modes[0]).all()
+    assert np.isnan(lift.points3d_sd[1:]).all() == (uncertainty == "off")
+    assert np.isfinite(lift.points3d_covariance[1:]).all()
+
+
+def test_weak_perspective_has_no_covariances() -> None:
+    lift = prior().lift(capture().keypoints[LATER], refine="off", uncertainty="full")
+    assert lift.points3d_modes.shape[-1] > 0
+    assert np.isnan(lift.points3d_modes).all()
+    assert np.isnan(lift.points3d_covariance).all()
 
 
 def test_weak_perspective_is_of_unknown_doubt() -> None:

@@ -279,6 +279,8 @@ def test_every_kind_of_camera_on_the_wire() -> None:
     translations[0, 0, 2] = np.nan
     arrays = LiftedFrames(
         points3d=rng.uniform(-1, 1, (1, 5, 3)).astype(np.float32),
+        points3d_covariance=np.empty((1, 5, 0), np.float32),
+        points3d_modes=np.empty((1, 5, 3, 0), np.float32),
         rotations=values(3, 3),
         scales=values(),
         translations=translations,
