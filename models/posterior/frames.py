@@ -75,7 +75,7 @@ def covariances_of(
     Modes have the columns of each frame's unknowns, 0 where a frame has fewer. Without `modes`
     these and the part of the cameras are those of no frames.
     """
-    out = make_covariances(len(frames.points), shapes, factor, modes=modes)
+    out = make_covariances(len(frames.points), shapes, factor, modes)
     in_slices(
         len(frames.points),
         FRAMES_AT_A_TIME,
@@ -84,8 +84,9 @@ def covariances_of(
     return out
 
 
+@compiled
 def make_covariances(
-    frames: int, shapes: LearntShapes, factor: Float64, *, modes: bool
+    frames: int, shapes: LearntShapes, factor: Float64, modes: bool
 ) -> Covariances:
     """Return room for the covariances of so many frames; see `covariances_of`."""
     points, _, size = shapes.basis.shape

@@ -11,13 +11,8 @@ from models.capture.observations import Observations
 from models.network.answers import MODES, Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
-from models.posterior.deviations import write_deviations
-from models.posterior.frames import (
-    FRAMES_AT_A_TIME,
-    Covariances,
-    LearntShapes,
-    make_covariances,
-)
+from models.posterior.deviations import Uncertainty, write_deviations
+from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -46,8 +41,8 @@ class Posterior(NamedTuple):
         detected: Float32,
         *,
         modes: bool,
-    ) -> tuple[Float32, Float32, Float32]:
-        """Return `points3d_sd`, `points3d_covariance` and `points3d_modes` of answers.
+    ) -> Uncertainty:
+        """Return how far the points of answers may be off.
 
         NaN for frames without a perspective camera. In the unit of the answers. A structure's place
         and direction are no part of what points share, nor is its size where no static rig gives
@@ -64,28 +59,20 @@ class Posterior(NamedTuple):
         seen, detected
             The keypoints; those before noise was removed as in `ObservedFrames`.
         modes
-            Whether the last two are wanted; else they have no columns.
+            Whether covariances and modes are wanted.
         """
         noise, factor = self._of(views, seen.weights.shape[1])
         frames, count, _ = answers.points3d.shape
-        columns = (SYMMETRIC, MODES) if modes else (0, 0)
-        sds = np.full((frames, count), np.nan, np.float32)
-        covariances = np.full((frames, count, columns[0]), np.nan, np.float32)
-        shared = np.full((frames, count, 3, columns[1]), np.nan, np.float32)
+        out = unknown_uncertainty(frames, count, modes=modes)
         shapes = LearntShapes(self.mean, self.basis, self.variances)
-
-        def write(part: slice) -> None:
-            found = make_covariances(part.stop - part.start, shapes, factor, modes=modes)
-            write_deviations(
-                answers, rig, seen, detected, shapes, noise, factor,
-                part.start, part.stop, found, sds,
-            )  # fmt: skip
-            if modes:
-                covariances[part] = found.blocks[..., *np.triu_indices(3)]
-                shared[part] = _leading(found)
-
-        in_slices(frames, FRAMES_AT_A_TIME, write)
-        return sds, covariances, shared
+        in_slices(
+            frames,
+            FRAMES_AT_A_TIME,
+            lambda part: write_deviations(
+                answers, rig, seen, detected, shapes, noise, factor, part.start, part.stop, out
+            ),
+        )
+        return out
 
     def _of(self, views: Sequence[int] | None, count: int) -> tuple[Float64, Float64]:
         """Return noise (K, P) and factor (K, 11, T) of some views."""
@@ -135,15 +122,11 @@ class Posterior(NamedTuple):
         return found
 
 
-def _leading(found: Covariances) -> Float64:
-    """Return the few modes (N, P, 3, MODES) that carry most of what the points of a frame share."""
-    modes = np.concatenate((found.modes, found.by_cameras), -1)  # (N, P, 3, C)
-    columns = modes.reshape(len(modes), -1, modes.shape[-1])
-    known = np.all(np.isfinite(found.blocks), axis=(1, 2, 3))
-    columns = np.where(known[:, None, None], columns, 0.0)
-    _, turns = np.linalg.eigh(columns.mT @ columns)
-    leading = np.zeros((*modes.shape[:3], MODES))
-    most = turns[..., ::-1][..., :MODES]
-    leading[..., : most.shape[-1]] = (columns @ most).reshape(*modes.shape[:3], -1)
-    leading[~known] = np.nan
-    return leading
+def unknown_uncertainty(frames: int, keypoints: int, *, modes: bool) -> Uncertainty:
+    """Return NaN for so many frames of so many keypoints."""
+    columns = (SYMMETRIC, MODES) if modes else (0, 0)
+    return Uncertainty(
+        np.full((frames, keypoints), np.nan, np.float32),
+        np.full((frames, keypoints, columns[0]), np.nan, np.float32),
+        np.full((frames, keypoints, 3, columns[1]), np.nan, np.float32),
+    )
