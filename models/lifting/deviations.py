@@ -19,8 +19,9 @@ def with_deviations(
     Covariances are part of it if `modes` are asked for. All are NaN without a posterior, and
     without a rig, for then nothing was refined.
     """
-    found = unknown_uncertainty(*lift.points3d.shape[:2], modes=modes)
-    if posterior is not None and rig is not None:
+    if posterior is None or rig is None:
+        found = unknown_uncertainty(*lift.points3d.shape[:2], modes=modes)
+    else:
         seen, detected = observed.observations, observed.detected
         found = posterior.uncertainty(lift, rig, observed.views, seen, detected, modes=modes)
     return lift._replace(
