@@ -29,6 +29,17 @@ def rate_of(times: Float64) -> float | None:
     return float(np.rint(steps / step).sum() / steps.sum())
 
 
+def _known_sds(given: Float64 | None, seen: NDArray[np.bool_]) -> Float64 | None:
+    """Return the deviations of points that are seen (N, P), NaN elsewhere; None for none."""
+    if given is None:
+        return None
+    sds = np.array(given, dtype=np.float64)
+    if sds.shape != seen.shape or (sds < 0).any():
+        raise ValueError(f"points_sd must be {seen.shape} distances, from 0")
+    sds[~(seen & np.isfinite(sds))] = np.nan
+    return None if np.isnan(sds).all() else sds
+
+
 @dataclass(frozen=True)
 class Animation:
     """N frames of P points in one frame of reference, right-handed.
@@ -52,6 +63,9 @@ class Animation:
         (first, second) keypoints that are joined, counted from 0.
     numbers
         (N,) numbers of the frames, rising, if they do not simply count from 0.
+    points_sd
+        (N, P) how far points may be off, in their unit: `points3d_sd` of a lift. NaN where it is
+        not known, and of missing points; None if it is known of none.
 
     Raises
     ------
@@ -66,6 +80,7 @@ class Animation:
     keypoint_names: tuple[str, ...] | None = None
     edges: tuple[tuple[int, int], ...] = ()
     numbers: NDArray[np.int64] | None = None
+    points_sd: Float64 | None = None
 
     def __post_init__(self) -> None:
         """Take any sequences, and check them."""
@@ -75,6 +90,7 @@ class Animation:
         points[~np.isfinite(points).all(-1)] = np.nan
         frames, count = points.shape[:2]
         self._set("points", points)
+        self._set("points_sd", _known_sds(self.points_sd, self.seen))
         if self.unit not in {None, *UNITS}:
             raise ValueError(f"unit must be 'm', 'mm' or None, not {self.unit!r}")
         if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):

@@ -70,5 +70,6 @@ def scaled_to(room: Room, height: float, names: Sequence[str] | None) -> Room:
         room,
         points=factor * room.points,
         translations=factor * room.translations,
+        scales=factor * room.scales,
         notes=(*room.notes, f"the unit is by the body's height {height:g}: a few percent unsure"),
     )

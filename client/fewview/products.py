@@ -46,6 +46,9 @@ def animation_of(
     if times is not None:
         times = times[: len(lift)]  # frames may have been added to the dataset since
         times = np.nanmedian(times, axis=1) if times.ndim == 2 else times
+    sds = None if lift.points3d_sd is None else lift.points3d_sd.astype(np.float64)
+    if sds is not None and room is not None:
+        sds *= room.scales[:, None]
     return Animation(
         points=np.asarray(lift.points3d if room is None else room.points, np.float64),
         unit=unit,
@@ -54,4 +57,5 @@ def animation_of(
         keypoint_names=capture.keypoint_names,
         edges=capture.edges or (),
         numbers=capture.numbers,
+        points_sd=sds,
     )

@@ -40,6 +40,9 @@ class Room:
         How many frames have no place in the room.
     notes
         Sentences for people on what was done and estimated.
+    scales
+        (N,) by which the lengths of each frame of the lift were multiplied, so that its
+        `points3d_sd` are in the room's unit, too; NaN in frames that have no place.
     """
 
     points: Float64
@@ -47,6 +50,7 @@ class Room:
     translations: Float64
     missing: int
     notes: tuple[str, ...]
+    scales: Float64
 
     def cameras(
         self,
@@ -208,6 +212,7 @@ def in_rig(
         translations=rig_translations + rig_rotations @ (axes.T @ drop),
         missing=missing,
         notes=(*notes, *more),
+        scales=np.where(np.isfinite(places.shifts[:, 0]), places.scales, np.nan),
     )
 
 

@@ -57,7 +57,8 @@ def download_animation(
         Query(
             description="`trc` (OpenSim), `c3d` (biomechanics), `bvh` (a skeleton, where edges "
             "form a tree), `glb` (glTF 2.0, for viewers and Blender), `csv` (a row for each "
-            "frame), `csv-tidy` (a row for each point)."
+            "frame), `csv-tidy` (a row for each point). How far points may be off is in CSV's columns "
+            "`sd` and in C3D's residuals."
         ),
     ],
     frame: FrameQuery = None,
@@ -93,7 +94,13 @@ def download_animation(
     skeleton = Skeleton.model_validate(model.skeleton or {})
     fps, times = _moments(fit, store, wanted)
     file = animation_file(
-        found["points3d"], skeleton, format=format, unit=unit, fps=fps, times=times
+        found["points3d"],
+        found.get("points3d_sd"),
+        skeleton,
+        format=format,
+        unit=unit,
+        fps=fps,
+        times=times,
     )
     filename = f"{fit.id}{file.suffix}"
     return bytes_response(request, file.content, media_type=OCTETS, filename=filename)

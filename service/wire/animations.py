@@ -30,6 +30,7 @@ class AnimationFile(NamedTuple):
 
 def animation_file(
     points: NDArray[np.float32],
+    points_sd: NDArray[np.float32] | None,
     skeleton: Skeleton,
     *,
     format: AnimationFormat,
@@ -37,7 +38,9 @@ def animation_file(
     fps: float | None,
     times: NDArray[np.float64] | None,
 ) -> AnimationFile:
-    """Return points (N, P, 3) at `times` (N,), in seconds, as a file.
+    """Return points (N, P, 3), with how far they may be off (N, P), at `times` (N,) as a file.
+
+    Times are in seconds.
 
     Raises
     ------
@@ -55,6 +58,7 @@ def animation_file(
             times=times,
             keypoint_names=None if names is None else tuple(names),
             edges=tuple((first, second) for first, second in skeleton.edges),
+            points_sd=None if points_sd is None else points_sd.astype(np.float64),
         )
         with TemporaryDirectory() as folder:
             target = Path(folder, f"animation{SUFFIXES[format]}")

@@ -75,7 +75,9 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     with np.load(out / "animation.npz") as arrays:
         assert arrays["points"].shape == (60, served.capture.keypoints.shape[2], 3)
         np.testing.assert_allclose(arrays["times"], times)  # the dataset's
-        plain = arrays["points"]
+        plain, plain_sd = arrays["points"], arrays["points_sd"]
+        lift = served.client.fits.reconstruction(fit).arrays()
+        np.testing.assert_allclose(plain_sd, lift["points3d_sd"], rtol=1e-6)
     tall = ["--height=1.8", "--formats=npz", "--json", url]
     assert said(fewview("export", fit, "-o", str(out), *tall))["frames"] == 60
     with np.load(out / "animation.npz") as arrays:
@@ -83,6 +85,7 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
         joints = arrays["points"][:, :8].reshape(60, 4, 2, 3)
         ratios = arrays["points"] / plain
         np.testing.assert_allclose(ratios, ratios[0, 0, 0], rtol=1e-4)
+        np.testing.assert_allclose(arrays["points_sd"] / plain_sd, ratios[0, 0, 0], rtol=1e-4)
     trunk, legs = joints[:, 0].mean(1) - joints[:, 1].mean(1), np.diff(joints[:, 1:], axis=1)
     chain = np.linalg.norm(trunk, axis=-1) + np.linalg.norm(legs, axis=-1).sum(1).mean(1)
     assert np.quantile(chain, 0.8) == pytest.approx(0.779 * 1.8, rel=1e-3)

@@ -25,7 +25,8 @@ def body(height: float, bends: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def room(points: NDArray[np.float64]) -> Room:
-    return Room(points, np.eye(3)[None], np.array([[0.0, 1.0, 4.0]]), 0, ("found",))
+    scales = np.full(len(points), 2.0)
+    return Room(points, np.eye(3)[None], np.array([[0.0, 1.0, 4.0]]), 0, ("found",), scales)
 
 
 def test_the_height_gives_the_unit() -> None:
@@ -35,6 +36,7 @@ def test_the_height_gives_the_unit() -> None:
     scaled = scaled_to(room(seen), 1.7, NAMES)
     np.testing.assert_allclose(scaled.points * 0.37, seen, rtol=1e-6)
     np.testing.assert_allclose(scaled.translations * 0.37, [[0, 1, 4]], rtol=1e-6)
+    np.testing.assert_allclose(scaled.scales * 0.37, 2, rtol=1e-6)  # of deviations, too
     assert scaled.notes[0] == "found"
     assert "1.7" in scaled.notes[1]
 

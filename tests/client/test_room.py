@@ -87,6 +87,7 @@ def test_views_that_are_missing_or_contradict_do_no_harm(walk: Walk) -> None:
     there = np.delete(np.arange(80), [9, 10])
     np.testing.assert_allclose(room.points[there], walk.truth[there], atol=1e-9)
     assert np.isnan(room.points[9:11]).all()
+    np.testing.assert_array_equal(np.isnan(room.scales), ~np.isin(np.arange(80), there))
     assert room.missing == 2
     assert "2 of 80" in room.notes[0]
     assert "in 2 frames" in room.notes[1]
@@ -99,6 +100,7 @@ def test_frames_in_units_of_a_moving_view_are_scaled_by_the_rig(walk: Walk) -> N
     room = walk.room()
     ratios = room.points / walk.truth
     np.testing.assert_allclose(ratios, ratios[0, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(room.scales * units, ratios[0, 0, 0], rtol=1e-6)
     turns = [np.eye(3), *room.rotations[1:]]
     rig = [Camera(str(v), np.eye(3), np.zeros(0), turns[v], room.translations[v]) for v in range(3)]
     np.testing.assert_allclose(walk.room(cameras=rig).points, room.points, atol=1e-9)

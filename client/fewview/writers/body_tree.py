@@ -79,6 +79,7 @@ def with_body_tree(animation: Animation) -> Animation:
     return replace(
         animation,
         points=np.concatenate(points, axis=1),
+        points_sd=None,
         keypoint_names=tuple(called),
         edges=tuple(edges),
     )

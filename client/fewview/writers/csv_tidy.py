@@ -1,14 +1,17 @@
-"""CSV with a row for each point of each frame: frame, time, keypoint, x, y, z.
+"""CSV with a row for each point of each frame: frame, time, keypoint, x, y, z, sd.
 
-Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
-unknown. A missing point has its row, with x, y and z empty. Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) and sd (how far the point may
+be off) are left out where they are unknown. A missing point has its row, with x, y, z and sd empty.
+Comma and CRLF as in RFC 4180.
 """
 
 from pathlib import Path
 
+import numpy as np
+
 from fewview.animation import Animation
 from fewview.plain import TableWriter
-from fewview.writers.numbers import texts, time_text
+from fewview.writers.numbers import columns_of, texts, time_text
 
 
 def write(path: Path, animation: Animation) -> None:
@@ -16,10 +19,10 @@ def write(path: Path, animation: Animation) -> None:
     timed = animation.times is not None or animation.fps is not None
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = TableWriter(file)
-        rows.writerow(["frame", *(["time"] if timed else []), "keypoint", "x", "y", "z"])
-        for frame, time, points in zip(
-            animation.frames, animation.seconds, animation.points, strict=True
-        ):
+        columns = columns_of(animation)
+        rows.writerow(["frame", *(["time"] if timed else []), "keypoint", *columns])
+        values = np.stack(list(columns.values()), axis=-1)
+        for frame, time, points in zip(animation.frames, animation.seconds, values, strict=True):
             when = [frame, *([time_text(time)] if timed else [])]
             rows.writerows(
                 [*when, name, *texts(point)]

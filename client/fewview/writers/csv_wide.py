@@ -1,14 +1,17 @@
-"""CSV with a row for each frame: frame, time, then x, y, z of every keypoint.
+"""CSV with a row for each frame: frame, time, then x, y, z, sd of every keypoint.
 
-Frames have the numbers of the files, or count from 0; time (seconds) is left out where it is
-unknown. A missing point is empty. Comma and CRLF as in RFC 4180.
+Frames have the numbers of the files, or count from 0; time (seconds) and sd (how far the point may
+be off) are left out where they are unknown. A missing point is empty. Comma and CRLF as in RFC
+4180.
 """
 
 from pathlib import Path
 
+import numpy as np
+
 from fewview.animation import Animation
 from fewview.plain import TableWriter
-from fewview.writers.numbers import texts, time_text
+from fewview.writers.numbers import columns_of, texts, time_text
 
 
 def write(path: Path, animation: Animation) -> None:
@@ -16,9 +19,9 @@ def write(path: Path, animation: Animation) -> None:
     timed = animation.times is not None or animation.fps is not None
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = TableWriter(file)
-        columns = [f"{name}_{axis}" for name in animation.names for axis in "xyz"]
-        rows.writerow(["frame", *(["time"] if timed else []), *columns])
-        for frame, time, points in zip(
-            animation.frames, animation.seconds, animation.points, strict=True
-        ):
-            rows.writerow([frame, *([time_text(time)] if timed else []), *texts(points)])
+        columns = columns_of(animation)
+        names = [f"{name}_{column}" for name in animation.names for column in columns]
+        rows.writerow(["frame", *(["time"] if timed else []), *names])
+        values = np.stack(list(columns.values()), axis=-1)
+        for frame, time, row in zip(animation.frames, animation.seconds, values, strict=True):
+            rows.writerow([frame, *([time_text(time)] if timed else []), *texts(row)])

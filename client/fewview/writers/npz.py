@@ -1,7 +1,7 @@
 """npz: `points` (N, P, 3), NaN where missing, and what else is known under its own name.
 
-`unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2), `frame_numbers` (N,); no pickled
-objects.
+`points_sd` (N, P), `unit`, `fps`, `times` (N,), `keypoint_names` (P,), `edges` (E, 2),
+`frame_numbers` (N,); no pickled objects.
 """
 
 from pathlib import Path
@@ -16,6 +16,7 @@ def write(path: Path, animation: Animation) -> None:
     """Write an animation as arrays."""
     known: dict[str, Any] = {
         "points": animation.points,
+        "points_sd": animation.points_sd,
         "unit": animation.unit,
         "fps": animation.fps,
         "times": animation.times,

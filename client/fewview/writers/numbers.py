@@ -28,6 +28,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.9f}".rstrip("0").rstrip(".")
 
 
+def columns_of(animation: Animation) -> dict[str, NDArray[np.float64]]:
+    """Return what tables have of every point, (N, P) each: x, y, z and, where it is known, sd."""
+    columns = {axis: animation.points[..., place] for place, axis in enumerate("xyz")}
+    return columns if animation.points_sd is None else columns | {"sd": animation.points_sd}
+
+
 def evened(animation: Animation, format: str) -> Animation:
     """Return an animation with a constant rate: frames that are missing become gaps.
 
@@ -47,6 +53,17 @@ def evened(animation: Animation, format: str) -> Animation:
             f"{format} has a constant frame rate, and the times of the frames are uneven: "
             "interpolate to even times first, or write CSV, TRC, JSON lines or glTF"
         )
-    points = np.full((count, *animation.points.shape[1:]), np.nan)
-    points[places] = animation.points
-    return replace(animation, points=points, times=None, fps=animation.rate, numbers=None)
+
+    def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        regular = np.full((count, *values.shape[1:]), np.nan)
+        regular[places] = values
+        return regular
+
+    return replace(
+        animation,
+        points=spread(animation.points),
+        points_sd=None if animation.points_sd is None else spread(animation.points_sd),
+        times=None,
+        fps=animation.rate,
+        numbers=None,
+    )

@@ -1,4 +1,4 @@
-"""Parquet: the tidy table (frame, time, keypoint, x, y, z), null where a point is missing.
+"""Parquet: the tidy table (frame, time, keypoint, x, y, z, sd), null where a number is unknown.
 
 Unit and edges stand in the metadata of the schema, as JSON under `fewview`.
 """
@@ -10,6 +10,7 @@ import numpy as np
 
 from fewview.animation import Animation
 from fewview.errors import FormatError
+from fewview.writers.numbers import columns_of
 
 
 def write(path: Path, animation: Animation) -> None:
@@ -33,9 +34,8 @@ def write(path: Path, animation: Animation) -> None:
         columns["time"] = pyarrow.array(np.repeat(animation.seconds, count))
     places = pyarrow.array(np.tile(np.arange(count, dtype=np.int32), frames))
     columns["keypoint"] = pyarrow.DictionaryArray.from_arrays(places, list(animation.names))
-    for axis, name in enumerate("xyz"):
-        values = animation.points[..., axis].ravel()
-        columns[name] = pyarrow.array(values, mask=~animation.seen.ravel())
+    for name, values in columns_of(animation).items():
+        columns[name] = pyarrow.array(values.ravel(), mask=np.isnan(values).ravel())
     metadata = json.dumps({"unit": animation.unit, "fps": animation.fps, "edges": animation.edges})
     table = pyarrow.table(columns).replace_schema_metadata({"fewview": metadata})
     parquet.write_table(table, path)

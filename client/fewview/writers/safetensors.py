@@ -1,6 +1,7 @@
-"""safetensors: `points` (N, P, 3) float64, NaN where missing, `times` (N,), `edges` (E, 2).
+"""safetensors: `points` (N, P, 3) float64, NaN where missing, and what else is known.
 
-What are no arrays is in the metadata, as JSON where it is no text: `unit`, `fps`, `keypoint_names`.
+That is `points_sd` (N, P), `times` (N,), `edges` (E, 2), `frame_numbers` (N,). What are no arrays
+is in the metadata, as JSON where it is no text: `unit`, `fps`, `keypoint_names`.
 """
 
 import json
@@ -17,6 +18,8 @@ from fewview.api.arrays import to_safetensors
 def write(path: Path, animation: Animation) -> None:
     """Write an animation as arrays."""
     arrays: dict[str, NDArray[Any]] = {"points": animation.points}
+    if animation.points_sd is not None:
+        arrays["points_sd"] = animation.points_sd
     if animation.times is not None:
         arrays["times"] = animation.times
     if animation.numbers is not None:

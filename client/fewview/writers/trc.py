@@ -2,8 +2,9 @@
 
 Five lines of header, an empty one, then a line for each frame, all between tabs; frames have the
 numbers of the files, or count from 1. A missing point is `nan` three times: OpenSim takes no notice
-of empty fields at the end of a line, and refuses a line that has fewer. The header names the unit,
-so it must be known.
+of empty fields at the end of a line, and refuses a line that has fewer. It refuses one that has
+more, too, so there is no place for how far points may be off. The header names the unit, so it must
+be known.
 
 Source: OpenSim documentation, "Marker (.trc) Files".
 """

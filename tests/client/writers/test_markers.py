@@ -94,6 +94,45 @@ def test_c3d(tmp_path: Path, animation: Animation) -> None:
         np.testing.assert_array_equal(residuals, np.where(given.seen, 0, -1))
 
 
+def words_of(path: Path, frames: int, count: int) -> tuple[float, NDArray[np.int16]]:
+    """Return the scale of a C3D file of floats, and the fourth words (N, P) by the guide."""
+    content = path.read_bytes()
+    place = 512 * (int.from_bytes(content[16:18], "little") - 1)
+    (scale,) = np.frombuffer(content, "<f4", count=1, offset=12)
+    points = np.frombuffer(content, "<f4", count=frames * count * 4, offset=place)
+    return float(scale), points.reshape(frames, count, 4)[..., 3].astype(np.int16)
+
+
+def test_residuals_of_c3d_are_how_far_points_may_be_off(
+    tmp_path: Path, animation: Animation, doubted: Animation
+) -> None:
+    """By the guide's rules: residuals in the lower byte, in steps of the scale; no camera's bit."""
+    path = write(tmp_path / "a.c3d", doubted)
+    scale, words = words_of(path, 12, 5)
+    assert scale < 0  # of floats
+    assert ezc3d.c3d(str(path))["parameters"]["POINT"]["SCALE"]["value"] == [scale]
+    np.testing.assert_array_equal(words == -1, ~doubted.seen)
+    known = words > 0
+    assert doubted.points_sd is not None
+    np.testing.assert_array_equal(known, np.isfinite(doubted.points_sd))
+    assert words[7, 1] == 0
+    assert words.max() == 255
+    np.testing.assert_allclose(
+        -scale * (words[known] & 255), doubted.points_sd[known], atol=-0.501 * scale
+    )
+    unknown, words = words_of(write(tmp_path / "b.c3d", animation), 12, 5)
+    np.testing.assert_array_equal(words, np.where(animation.seen, 0, -1))
+    most = np.abs(animation.points[animation.seen]).max()
+    assert -unknown == pytest.approx(most / 32000)  # a file of integers can hold all points
+
+
+def test_a_gap_in_the_times_is_one_of_the_residuals(tmp_path: Path, doubted: Animation) -> None:
+    late = replace(doubted, fps=None, times=np.r_[:6, 8:14] / 25)
+    _, words = words_of(write(tmp_path / "a.c3d", late), 14, 5)
+    assert (words[6:8] == -1).all()
+    assert (words[8:, 0] > 0).all()
+
+
 def test_c3d_of_many_points_and_frames(tmp_path: Path) -> None:
     points = np.random.default_rng(0).normal(size=(2, 300, 3))
     file = ezc3d.c3d(str(write(tmp_path / "wide.c3d", Animation(points, fps=100))))

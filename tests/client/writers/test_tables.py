@@ -85,6 +85,52 @@ def test_parquet(tmp_path: Path, animation: Animation) -> None:
     assert json.loads(table.schema.metadata[b"fewview"])["unit"] == "m"
 
 
+def test_tables_have_how_far_points_may_be_off(tmp_path: Path, doubted: Animation) -> None:
+    with write(tmp_path / "a.csv", doubted).open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    assert head[2:7] == ["nose_x", "nose_y", "nose_z", "nose_sd", "left hip_x"]
+    wide = np.array([[float(cell or "nan") for cell in row[2:]] for row in rows]).reshape(12, 5, 4)
+    with write(tmp_path / "a.tidy.csv", doubted).open(newline="", encoding="utf-8") as file:
+        tidy = [[row[name] for name in ("x", "y", "z", "sd")] for row in csv.DictReader(file)]
+    assert doubted.points_sd is not None
+    for numbers in (wide, np.array([[float(x or "nan") for x in row] for row in tidy])):
+        values = numbers.reshape(12, 5, 4)
+        np.testing.assert_allclose(values[..., :3], doubted.points, rtol=1e-8)
+        np.testing.assert_allclose(values[..., 3], doubted.points_sd, rtol=1e-8)
+
+
+def test_arrays_and_lines_have_how_far_points_may_be_off(
+    tmp_path: Path, doubted: Animation
+) -> None:
+    lines = write(tmp_path / "a.jsonl", doubted).read_text(encoding="utf-8").splitlines()[1:]
+    listed = [[sd or np.nan for sd in json.loads(line)["points_sd"]] for line in lines]
+    np.testing.assert_array_equal(listed, doubted.points_sd)
+    with np.load(write(tmp_path / "a.npz", doubted), allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["points_sd"], doubted.points_sd)
+    with safe_open(write(tmp_path / "a.safetensors", doubted), "numpy") as file:
+        np.testing.assert_array_equal(file.get_tensor("points_sd"), doubted.points_sd)
+
+
+def test_parquet_has_how_far_points_may_be_off(tmp_path: Path, doubted: Animation) -> None:
+    reader = pytest.importorskip("pyarrow.parquet", reason="pyarrow is large, and an extra")
+    table = reader.read_table(write(tmp_path / "a.parquet", doubted))
+    assert table.column_names[-1] == "sd"
+    assert doubted.points_sd is not None
+    assert table["sd"].null_count == np.isnan(doubted.points_sd).sum() > 0
+    numbers = np.array(table["sd"].to_pylist(), dtype=float).reshape(12, 5)
+    np.testing.assert_array_equal(numbers, doubted.points_sd)
+
+
+@pytest.mark.parametrize("name", ["trc", "bvh", "glb"])
+def test_formats_without_a_place_for_it_stay_as_they_are(
+    name: str, tmp_path: Path, animation: Animation, doubted: Animation
+) -> None:
+    known, unknown = (tmp_path / part / f"a.{name}" for part in ("known", "unknown"))
+    known.parent.mkdir()
+    unknown.parent.mkdir()
+    assert write(known, doubted).read_bytes() == write(unknown, animation).read_bytes()
+
+
 @pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.name)
 def test_a_format_can_be_named_whatever_the_file_is_called(
     known: object, tmp_path: Path, animation: Animation
@@ -115,10 +161,16 @@ def test_an_animation_checks_itself(animation: Animation) -> None:
         {"times": np.arange(3)},
         {"keypoint_names": ("a", "a", "b", "c", "d")},
         {"edges": ((0, 5),)},
+        {"points_sd": np.ones((12, 4))},
+        {"points_sd": np.full((12, 5), -1.0)},
     ):
         with pytest.raises(ValueError, match=next(iter(wrong)).split("_")[0].rstrip("s")):
             replace(animation, **wrong)
     assert replace(animation, keypoint_names=None).names[4] == "point5"
+    assert replace(animation, points_sd=np.full((12, 5), np.nan)).points_sd is None
+    known = replace(animation, points_sd=np.ones((12, 5))).points_sd
+    assert known is not None
+    np.testing.assert_array_equal(np.isnan(known), ~animation.seen)
     assert replace(animation, fps=None).rate == 30
     uneven = replace(animation, fps=None, times=np.arange(12.0) ** 2)
     assert not uneven.even

@@ -86,7 +86,13 @@ def test_c3d_glb_bvh_and_csv_are_files_of_their_kind(
     assert downloaded(live, fit, "format=bvh").startswith(b"HIERARCHY")
     header, *rows = downloaded(live, fit, "format=csv").decode().splitlines()
     assert len(rows) == 40
-    assert "point 0" in header
+    frames = live.get(f"/fits/{fit['id']}/reconstruction")["frames"]
+    sds = np.array([np.array(frame["points3d_sd"], np.float64)[0] for frame in frames])
+    place = header.split(",").index("point 0_sd")
+    written = np.array([float(row.split(",")[place] or "nan") for row in rows])
+    np.testing.assert_allclose(written, sds, rtol=1e-6)
+    residuals = found["data"]["meta_points"]["residuals"]
+    assert residuals.shape == (1, 16, 40)
     assert len(downloaded(live, fit, "format=csv-tidy").decode().splitlines()) > 40 * 15
 
 
