@@ -57,8 +57,8 @@ def download_animation(
         Query(
             description="`trc` (OpenSim), `c3d` (biomechanics), `bvh` (a skeleton, where edges "
             "form a tree), `glb` (glTF 2.0, for viewers and Blender), `csv` (a row for each "
-            "frame), `csv-tidy` (a row for each point). How far points may be off is in CSV's columns "
-            "`sd` and in C3D's residuals."
+            "frame), `csv-tidy` (a row for each point). How far points may be off is in the "
+            "columns `sd` of CSV and the residuals of C3D."
         ),
     ],
     frame: FrameQuery = None,
