@@ -152,3 +152,9 @@ export function nearest({ there }: Take, frame: number): number {
   for (let near = frame; near >= 0; near--) if (there[near] !== NOTHING) return near;
   return frame;
 }
+
+/** Returns whether it is known of any point how far it may be off. */
+export function knowsDeviations({ deviations }: Take): boolean {
+  for (let at = 0; at < deviations.length; at++) if (Number.isFinite(deviations[at])) return true;
+  return false;
+}

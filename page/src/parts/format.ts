@@ -1,11 +1,22 @@
 /** Numbers and moments as people read them. */
 
 const PLAIN = new Intl.NumberFormat("en", { maximumSignificantDigits: 6 });
+const MOST_DECIMALS = 6;
 
 export function number(value: number | null | undefined, digits = 3): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = Math.abs(value) >= 1000 ? Math.round(value).toString() : value.toPrecision(digits);
   return PLAIN.format(Number(text));
+}
+
+/** Returns a value with its standard deviation, both to the second digit of that (GUM, 7.2.6): 1.234 ± 0.012. The value
+ * alone where the deviation is not known.
+ *
+ * @param unit that follows each number */
+export function plusMinus(value = NaN, deviation = NaN, unit = ""): string {
+  if (!Number.isFinite(value) || !Number.isFinite(deviation) || deviation <= 0) return `${number(value)}${unit}`;
+  const decimals = Math.min(MOST_DECIMALS, Math.max(0, 1 - Math.floor(Math.log10(deviation))));
+  return `${value.toFixed(decimals)}${unit} ± ${deviation.toFixed(decimals)}${unit}`;
 }
 
 export function pixels(value: number | null | undefined): string {

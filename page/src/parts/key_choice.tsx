@@ -1,23 +1,19 @@
 /** Whether single letters and digits do something by themselves: who dictates, or types by accident, can
  * switch that off (WCAG 2.1.4). The choice stays in this browser. */
 
-import { useState } from "preact/hooks";
+import { kept, useKept } from "./kept.ts";
 
-const PLACE = "fewview-single-keys";
-
-export function singleKeysAct(): boolean {
-  return localStorage.getItem(PLACE) !== "off";
-}
+const PLACE = "single-keys";
 
 export function KeyChoice() {
-  const [on, setOn] = useState(singleKeysAct);
-  const choose = (next: boolean) => {
-    localStorage.setItem(PLACE, next ? "on" : "off");
-    setOn(next);
-  };
+  const [chosen, choose] = useKept(PLACE, "on");
   return (
     <label class="choice">
-      <input type="checkbox" checked={on} onChange={(event) => choose(event.currentTarget.checked)} />
+      <input
+        type="checkbox"
+        checked={chosen !== "off"}
+        onChange={(event) => choose(event.currentTarget.checked ? "on" : "off")}
+      />
       Letters and digits act by themselves
     </label>
   );
@@ -26,7 +22,7 @@ export function KeyChoice() {
 /** Returns whether a key is the business of the control that has the focus, or of the browser. */
 export function isTaken(event: KeyboardEvent): boolean {
   if (event.ctrlKey || event.metaKey || event.altKey) return true;
-  if (/^\S$/.test(event.key) && !singleKeysAct()) return true;
+  if (/^\S$/.test(event.key) && kept(PLACE, "on") === "off") return true;
   const at = event.target instanceof Element ? event.target : null;
   if (at === null) return false;
   if (at.closest("input:not([type=range],[type=checkbox],[type=radio]),select,textarea,[contenteditable]")) return true;

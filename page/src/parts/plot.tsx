@@ -8,16 +8,17 @@ import { onThemeChange, readTheme, type Theme } from "./theme.ts";
 interface Props {
   data: uPlot.AlignedData;
   height: number; // pixels
-  x: string; // what the axes are called
-  y: string;
+  x: string | null; // what the axes are called; without a name this one has no numbers, either
+  y: string | null;
   scales: uPlot.Scales;
   series: (theme: Theme) => uPlot.Series[];
+  bands?: (theme: Theme) => uPlot.Band[]; // between two series each
   summary: string;
   anew?: unknown; // where it changes, so do scales
   onPlot?: (plot: uPlot) => void; // called with each that is made: also when light turns dark
 }
 
-export function Plot({ data, height, x, y, scales, series, summary, anew, onPlot }: Props) {
+export function Plot({ data, height, x, y, scales, series, bands, summary, anew, onPlot }: Props) {
   const holder = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);
   const latest = useRef(data);
@@ -41,10 +42,17 @@ export function Plot({ data, height, x, y, scales, series, summary, anew, onPlot
         cursor: { drag: { x: false, y: false } },
         scales,
         axes: [
-          { ...axis, label: x, size: 32 },
-          { ...axis, label: y, size: 48, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}`)) },
+          x === null ? { ...axis, size: 6, values: () => [] } : { ...axis, label: x, size: 32 },
+          {
+            ...axis,
+            ...(y !== null && { label: y }),
+            size: 48,
+            space: 22, // pixels between two numbers, at least
+            values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}`)),
+          },
         ],
         series: [{}, ...series(theme)],
+        ...(bands && { bands: bands(theme) }),
       };
       plot.current?.destroy();
       plot.current = new uPlot(options, latest.current, element);

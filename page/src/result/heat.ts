@@ -1,7 +1,8 @@
 /** Colours of errors, and the two drawings that have a column for each frame: band and heat map. */
 
 import type { Theme } from "../parts/theme.ts";
-import { LEFT_OUT, UNSEEN, type KeypointErrors } from "../science/errors.ts";
+import { LEFT_OUT, UNSEEN } from "../science/errors.ts";
+import type { Numbers } from "../science/numbers.ts";
 
 type Rgb = [number, number, number];
 
@@ -49,18 +50,18 @@ function pixelOf(colour: string): number {
   return pixel(channel(1), channel(3), channel(5));
 }
 
-/** Draws errors, keypoint x frame, on a canvas that is `width` wide and a pixel high a keypoint. A
- * column of several frames shows the worst of them. */
+/** Draws numbers (N, P), keypoint x frame, on a canvas that is `width` wide and a pixel high a keypoint: errors, or how
+ * far points may be off. A column of several frames shows the largest of them. */
 export function drawHeatMap(
   canvas: HTMLCanvasElement,
-  errors: KeypointErrors,
+  values: Numbers,
   keypoints: number,
   width: number,
   largest: number,
   theme: Theme,
   colours: Uint32Array,
 ): void {
-  const frames = errors.worst.length / keypoints;
+  const frames = values.length / keypoints;
   canvas.width = width;
   canvas.height = keypoints;
   const context = canvas.getContext("2d");
@@ -76,9 +77,9 @@ export function drawHeatMap(
       let worst = UNSEEN;
       let leftOut = false;
       for (let frame = from; frame < to; frame++) {
-        const error = errors.worst[frame * keypoints + keypoint]!;
-        if (error === LEFT_OUT) leftOut = true;
-        else if (error > worst) worst = error;
+        const value = values[frame * keypoints + keypoint]!;
+        if (value === LEFT_OUT) leftOut = true;
+        else if (value > worst) worst = value; // false for NaN
       }
       const level = Math.min(255, Math.floor((255 * worst) / largest));
       const known = worst === UNSEEN ? unseen : colours[level]!;

@@ -1,14 +1,12 @@
-/** Errors, keypoint x frame: a click goes to the frame and marks the keypoint. */
+/** Errors, or how far points may be off, keypoint x frame: a click goes to the frame and marks the keypoint. */
 
-import { useEffect, useMemo, useRef } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 import { number } from "../parts/format.ts";
 import { LEFT_OUT, UNSEEN } from "../science/errors.ts";
-import { quantile } from "../science/worst.ts";
 import { drawHeatMap, heatColours, isDark } from "./heat.ts";
+import { DOUBT, ERROR, type Heat } from "./use_heat.ts";
 import { useShow, type Show } from "./show.ts";
 
-const CLEAR = 0.99; // of the errors are within the colours; larger ones have the last colour
-const SAMPLES = 50_000; // errors that are looked at for that
 const WIDEST = 2400; // columns
 
 export interface Cell {
@@ -16,15 +14,15 @@ export interface Cell {
   keypoint: number;
 }
 
-export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
-  const { take, player, errors, errorsDone, theme, select, selected, setSelected } = useShow();
+export function HeatMap({ heat, onCell }: { heat: Heat; onCell: (cell: Cell | null) => void }) {
+  const { take, player, theme, version, select, selected, setSelected } = useShow();
   const canvas = useRef<HTMLCanvasElement>(null);
-  const largest = useKeypointLimit();
+  const { values, largest, done, what } = heat;
   useEffect(() => {
-    if (canvas.current === null || !errorsDone) return;
+    if (canvas.current === null || !done) return;
     const columns = Math.min(take.frames, WIDEST);
-    drawHeatMap(canvas.current, errors, take.keypoints, columns, largest, theme, heatColours(isDark()));
-  }, [errors, errorsDone, largest, theme, take]);
+    drawHeatMap(canvas.current, values, take.keypoints, columns, largest, theme, heatColours(isDark()));
+  }, [values, done, largest, theme, take, version]);
 
   const cellAt = (event: MouseEvent): Cell => {
     const box = (event.currentTarget as HTMLElement).getBoundingClientRect();
@@ -35,6 +33,7 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
       keypoint: Math.min(take.keypoints - 1, Math.max(0, keypoint)),
     };
   };
+  const shown = what === ERROR ? "Errors" : "Expected distances from the true places";
   return (
     <div
       class="map"
@@ -49,7 +48,11 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
         else setSelected([cell.keypoint]);
       }}
     >
-      <canvas ref={canvas} role="img" aria-label={`Errors of ${take.keypoints} keypoints over ${take.frames} frames`} />
+      <canvas
+        ref={canvas}
+        role="img"
+        aria-label={`${shown} of ${take.keypoints} keypoints over ${take.frames} frames, up to ${limitOf(heat)}`}
+      />
       {selected.map((keypoint) => (
         <i
           key={keypoint}
@@ -61,36 +64,41 @@ export function HeatMap({ onCell }: { onCell: (cell: Cell | null) => void }) {
   );
 }
 
-/** What the colours mean. */
-export function HeatKey() {
-  const { errorsDone } = useShow();
-  const largest = useKeypointLimit();
+/** What the colours mean, and which of the two they show. */
+export function HeatKey({ heat }: { heat: Heat }) {
+  const { what, choose, choices } = heat;
   return (
     <span class="key">
-      0 <i class="ramp" /> {errorsDone ? `${number(largest)} px` : "…"}
-      <i class="swatch outlier" /> outlier, left out <i class="swatch unseen-cell" /> not observed
+      {choices.length > 1 && (
+        <label class="heat-choice">
+          <span class="unseen">Colours show</span>
+          <select value={what} onChange={(event) => choose(event.currentTarget.value)}>
+            <option value={ERROR}>reprojection error</option>
+            <option value={DOUBT}>may be off by</option>
+          </select>
+        </label>
+      )}
+      0 <i class="ramp" /> {limitOf(heat)}
+      {what === ERROR && (
+        <>
+          <i class="swatch outlier" /> outlier, left out
+        </>
+      )}
+      <i class="swatch unseen-cell" /> {what === ERROR ? "not observed" : "not known"}
     </span>
   );
 }
 
-export function cellText({ take, errors }: Show, { frame, keypoint }: Cell): string {
-  const error = errors.worst[frame * take.keypoints + keypoint];
-  const inferred = "not observed, inferred";
-  const text = error === UNSEEN ? inferred : error === LEFT_OUT ? "outlier, left out" : `${number(error)} px`;
-  return `${take.names[keypoint]}, frame ${frame}: ${text}`;
+function limitOf({ done, largest, unit }: Heat): string {
+  return done ? `${number(largest)}${unit}` : "…";
 }
 
-/** Returns the error that has the last colour, in pixels. */
-function useKeypointLimit(): number {
-  const { errors, errorsDone } = useShow();
-  return useMemo(() => {
-    if (!errorsDone) return 1;
-    const step = Math.max(1, Math.floor(errors.worst.length / SAMPLES));
-    const known: number[] = [];
-    for (let at = 0; at < errors.worst.length; at += step) {
-      const error = errors.worst[at]!;
-      if (error >= 0) known.push(error);
-    }
-    return Math.max(quantile(known, CLEAR), 1e-6);
-  }, [errors, errorsDone]);
+export function cellText({ take }: Show, { values, what, unit }: Heat, { frame, keypoint }: Cell): string {
+  const value = values[frame * take.keypoints + keypoint];
+  const inferred = "not observed, inferred";
+  const error = value === UNSEEN ? inferred : value === LEFT_OUT ? "outlier, left out" : `${number(value)}${unit}`;
+  const doubt = Number.isFinite(value)
+    ? `may be off by ${number(value, 2)}${unit}`
+    : "how far it may be off is not known";
+  return `${take.names[keypoint]}, frame ${frame}: ${what === ERROR ? error : doubt}`;
 }

@@ -1,13 +1,18 @@
 /** What the 3D view shows besides the structure, how long a square is, and where one looks. */
 
 import type { ComponentChildren } from "preact";
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
+import { knowsDeviations } from "../data/take.ts";
 import { number } from "../parts/format.ts";
+import { useKept } from "../parts/kept.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useShown } from "./show.ts";
 
 export function StageControls({ stage, children }: { stage: Stage | null; children?: ComponentChildren }) {
-  const { unit, take } = useShown();
+  const { unit, take, version } = useShown();
+  const [doubt, setDoubt] = useKept("doubt-in-3d", "off");
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
+  const doubtKnown = useMemo(() => knowsDeviations(take), [take, version]);
   const [trails, setTrails] = useState(true);
   const [following, setFollowing] = useState(false);
   useEffect(() => {
@@ -15,6 +20,7 @@ export function StageControls({ stage, children }: { stage: Stage | null; childr
     setFollowing(stage?.walks ?? false);
   }, [stage]);
   useEffect(() => stage?.showTrails(trails), [stage, trails]);
+  useEffect(() => stage?.showDoubt(doubtKnown && doubt === "on", null), [stage, doubt, doubtKnown]);
   useEffect(() => stage?.follow(following), [stage, following]);
   return (
     <div class="overlay bottom">
@@ -26,6 +32,15 @@ export function StageControls({ stage, children }: { stage: Stage | null; childr
         <button aria-pressed={trails} onClick={() => setTrails(!trails)}>
           Trails
         </button>
+        {doubtKnown && (
+          <button
+            aria-pressed={doubt === "on"}
+            onClick={() => setDoubt(doubt === "on" ? "off" : "on")}
+            title="How far points may be off: each lies within its hull with 68 %, and what is doubtful fades"
+          >
+            Doubt
+          </button>
+        )}
         {stage?.walks && (
           <button aria-pressed={following} onClick={() => setFollowing(!following)}>
             Follow

@@ -5,10 +5,12 @@ import { number } from "../parts/format.ts";
 import { Band, bandLimit, Ranges } from "./band.tsx";
 import { cellText, HeatKey, HeatMap, type Cell } from "./heat_map.tsx";
 import { useShow } from "./show.ts";
+import { useHeat } from "./use_heat.ts";
 
 export function Timeline() {
   const show = useShow();
   const { take, player, loop, means, selected } = show;
+  const heat = useHeat(show);
   const cursor = useRef<HTMLDivElement>(null);
   const [under, setUnder] = useState<Cell | null>(null);
   const largest = useMemo(() => bandLimit(means), [means]);
@@ -29,12 +31,12 @@ export function Timeline() {
       <div class="columns">
         <Band />
         <Ranges />
-        <HeatMap onCell={setUnder} />
+        <HeatMap heat={heat} onCell={setUnder} />
         <div class="cursor" ref={cursor} />
       </div>
       <div class="axis quiet">
-        <span>{under === null ? caption(take.names, selected) : cellText(show, under)}</span>
-        <HeatKey />
+        <span>{under === null ? caption(take.names, selected) : cellText(show, heat, under)}</span>
+        <HeatKey heat={heat} />
       </div>
     </div>
   );

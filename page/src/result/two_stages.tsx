@@ -44,10 +44,11 @@ export function TwoStages({ stage, onStage }: { stage: Stage | null; onStage: (s
   );
 }
 
-/** Returns a take of other structures, of which no cameras are known. */
+/** Returns a take of other structures, of which neither cameras are known nor how far they may be off. */
 function withPoints(take: Take, points: Numbers): Take {
   const models = new Int8Array(take.cameras.models.length).fill(NO_CAMERA);
-  return { ...take, points, cameras: { ...take.cameras, models } };
+  const deviations = new Float32Array(take.deviations.length).fill(NaN);
+  return { ...take, points, deviations, cameras: { ...take.cameras, models } };
 }
 
 /** Returns what keeps two stages seen from the same place, whichever is turned. */

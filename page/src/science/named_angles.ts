@@ -51,6 +51,22 @@ export function namedAngles(names: readonly string[], sides: readonly Side[]): N
   });
 }
 
+/** Returns the angles at all keypoints that two edges meet in, as a finger's or a paw's. */
+export function edgeAngles(edges: readonly (readonly [number, number])[]): Triple[] {
+  const ends = new Map<number, number[]>();
+  for (const [a, b] of edges) {
+    for (const [from, to] of [
+      [a, b],
+      [b, a],
+    ] as const) {
+      ends.set(from, [...(ends.get(from) ?? []), to]);
+    }
+  }
+  return [...ends].flatMap(([middle, [a, c, ...more]]): Triple[] =>
+    a === undefined || c === undefined || more.length > 0 ? [] : [[a, middle, c]],
+  );
+}
+
 /** Returns what a name of a side may be without the word or the letter of the side. */
 function bareWords(name: string): string[] {
   const plain = (text: string) => text.toLowerCase().replace(/[^a-z0-9]/g, "");

@@ -11,10 +11,12 @@ import { Failure } from "../../src/fits/failure.tsx";
 import { Progress } from "../../src/fits/progress.tsx";
 import { Status } from "../../src/fits/status.tsx";
 import { FindingList } from "../../src/parts/finding_list.tsx";
+import { plusMinus } from "../../src/parts/format.ts";
 import { Verdict } from "../../src/parts/verdict.tsx";
 import { cellText, HeatKey } from "../../src/result/heat_map.tsx";
 import { Legend } from "../../src/result/legend.tsx";
 import { ShowContext, type Show } from "../../src/result/show.ts";
+import { useHeat } from "../../src/result/use_heat.ts";
 import { LEFT_OUT, UNSEEN } from "../../src/science/errors.ts";
 import { happens, rendered } from "./rendered.ts";
 
@@ -102,25 +104,52 @@ test("progress shows how far a fit is", async () => {
 });
 
 const show = {
-  take: { keypoints: 2, frames: 2, names: ["hip", "knee"] },
+  take: { keypoints: 2, frames: 2, names: ["hip", "knee"], deviations: Float32Array.of(0.02, 0.04, NaN, 0.01) },
+  unit: "metres",
+  done: true,
   errors: { worst: Float32Array.of(1.5, UNSEEN, LEFT_OUT, 4), outliers: new Uint8Array(4) },
   errorsDone: true,
   selected: [],
 } as unknown as Show;
+
+/** The legend of the heat map, and each of its cells in words. */
+function HeatInWords() {
+  const heat = useHeat(show);
+  return (
+    <>
+      <HeatKey heat={heat} />
+      {[0, 1].flatMap((frame) =>
+        [0, 1].map((keypoint) => <p key={2 * frame + keypoint}>{cellText(show, heat, { frame, keypoint })}</p>),
+      )}
+    </>
+  );
+}
 
 test("a legend offers what views show; a cell of the heat map has its meaning in words", async () => {
   const chosen: string[] = [];
   const page = await rendered(
     <ShowContext.Provider value={show}>
       <Legend crop="subject" setCrop={(crop) => chosen.push(crop)} />
-      <HeatKey />
+      <HeatInWords />
     </ShowContext.Provider>,
   );
   await happens(page.getByLabelText("views show"), "change", "image");
   assert.deepEqual(chosen, ["image"]);
   page.getByText(/0.*4 px.*outlier, left out.*not observed/s);
-  const words = [0, 1].flatMap((frame) => [0, 1].map((keypoint) => cellText(show, { frame, keypoint })));
-  assert.match(words.join("; "), /hip, frame 0: 1.5 px; knee, frame 0: not observed.*hip, frame 1: outlier.*4 px/);
+  const words = () => [...page.place.querySelectorAll("p")].map(({ textContent }) => textContent).join("; ");
+  assert.match(words(), /hip, frame 0: 1.5 px; knee, frame 0: not observed.*hip, frame 1: outlier.*4 px/);
+  await happens(page.getByLabelText("Colours show"), "change", "doubt");
+  page.getByText(/0.*0.04 \(metres\).*not known/s);
+  assert.match(words(), /knee, frame 0: may be off by 0.04 \(metres\); hip, frame 1: how far .* is not known/);
+});
+
+test("deviations decide how many digits are shown", () => {
+  assert.equal(plusMinus(1.23456, 0.01234), "1.235 ± 0.012");
+  assert.equal(plusMinus(152.3456, 2.1, "°"), "152.3° ± 2.1°");
+  assert.equal(plusMinus(0.5, 0.096), "0.500 ± 0.096");
+  assert.equal(plusMinus(152.3456, 31), "152 ± 31");
+  assert.equal(plusMinus(152.3456, NaN, "°"), "152°");
+  assert.equal(plusMinus(NaN, 1), "–");
 });
 
 const judged = (verdict: Partial<NonNullable<Fit["verdict"]>> | null): Fit =>

@@ -1,15 +1,14 @@
 /** Curves over all frames, along which one seeks; and a file of what is shown. */
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import type uPlot from "uplot";
 import { saveBlob } from "../../api/download.ts";
 import { secondsOf } from "../../data/capture.ts";
 import { csvOf } from "../../parts/csv.ts";
-import { number } from "../../parts/format.ts";
+import { plusMinus } from "../../parts/format.ts";
 import { Icon } from "../../parts/icons.tsx";
-import { Plot } from "../../parts/plot.tsx";
 import { useShow } from "../show.ts";
 import { curveGroups, type Curves } from "./curve_choice.ts";
+import { Pane, type Line } from "./pane.tsx";
 
 export function CurvePanel() {
   const { take, unit, selected } = useShow();
@@ -45,49 +44,52 @@ export function CurvePanel() {
 
 function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }) {
   const { fit, take, player, loop, version, done } = useShow();
-  // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
-  const values = useMemo(() => curves.series.map((series) => series.values()), [curves, version]);
+  const { series, unit } = curves;
+  const lines = useMemo(
+    () =>
+      series.map(({ name, colour, values, deviations }): Line => {
+        return { name, colour, values: values(), deviations: deviations?.(null) ?? null };
+      }),
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
+    [series, version],
+  );
   const frames = useMemo(() => Float64Array.from({ length: take.frames }, (_, frame) => frame), [take]);
-  const x = times ?? frames;
-  const data = useMemo((): uPlot.AlignedData => [x, ...values.map(withGaps)], [x, values]);
   const legend = useRef<HTMLUListElement>(null);
-  const linked = useLinkedPlot(x);
   useEffect(
     () =>
       loop.add(() => {
-        curves.series.forEach((_, index) => {
+        lines.forEach(({ values, deviations }, index) => {
           const place = legend.current?.children[index]?.querySelector("output");
-          if (place) place.textContent = number(values[index]?.[player.frame]);
+          if (place) place.textContent = plusMinus(values[player.frame], deviations?.[player.frame]);
         });
       }),
-    [loop, player, values, curves],
+    [loop, player, lines],
   );
   const save = () => {
     const seconds = times === null ? [] : [{ name: "seconds", values: times }];
-    const columns = curves.series.map(({ name }, index) => ({
-      name: `${name} (${curves.unit})`,
-      values: values[index] ?? [],
-    }));
+    const columns = lines.flatMap(({ name, values, deviations }) => [
+      { name: `${name} (${unit})`, values },
+      ...(isKnown(deviations) ? [{ name: `${name} sd (${unit})`, values: deviations }] : []),
+    ]);
     const text = csvOf([{ name: "frame", values: frames }, ...seconds, ...columns]);
     saveBlob(new Blob([text], { type: "text/csv" }), `${fit.id}-${curves.id.replaceAll(" ", "-")}.csv`);
   };
+  const panes = curves.apart ? lines.map((line) => [line]) : [lines];
   return (
     <div class="curves">
-      <Plot
-        data={data}
-        height={190}
-        x={times === null ? "frame" : "seconds"}
-        y={curves.unit}
-        scales={{ x: { time: false }, y: {} }}
-        series={(theme) =>
-          curves.series.map(({ colour }) => ({ stroke: theme[colour], width: 1.5, points: { show: false } }))
-        }
-        summary={summaryOf(curves, values)}
-        anew={curves.series.map(({ name }) => name).join("\n")}
-        onPlot={linked}
-      />
+      <p class="quiet unit">{unit}</p>
+      {panes.map((shown, index) => (
+        <Pane
+          key={index}
+          curves={curves}
+          lines={shown}
+          y={curves.apart?.[index] ?? null}
+          x={times ?? frames}
+          name={index + 1 < panes.length ? null : times === null ? "frame" : "seconds"}
+        />
+      ))}
       <ul class="curve-legend" ref={legend}>
-        {curves.series.map(({ name, colour }) => (
+        {series.map(({ name, colour }) => (
           <li key={name}>
             <i class="stroke" style={{ background: `var(--${colour})` }} /> {name} <output />
           </li>
@@ -99,70 +101,22 @@ function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }
         </li>
       </ul>
       {!done && <p class="quiet">The curve fills as frames come.</p>}
-      {take.frame === "view" && curves.unit !== "degrees" && (
+      <p class="quiet">{aboutBand(curves, lines)}</p>
+      {take.frame === "view" && unit !== "degrees" && (
         <p class="quiet">No camera is known to be static: each frame is in the axes of its first view.</p>
       )}
     </div>
   );
 }
 
-/** Links a plot with the player: a line shows the frame, and a press or drag goes to one.
- *
- * @param x (N,) where frames are along the plot */
-function useLinkedPlot(x: Float64Array): (plot: uPlot) => void {
-  const { player, loop } = useShow();
-  const drawn = useRef<{ plot: uPlot; line: HTMLElement } | null>(null);
-  useEffect(
-    () =>
-      loop.add(() => {
-        if (drawn.current === null) return;
-        const { plot, line } = drawn.current;
-        line.style.transform = `translateX(${plot.valToPos(x[player.frame]!, "x")}px)`;
-      }),
-    [loop, player, x],
-  );
-  return (plot) => {
-    const line = document.createElement("i");
-    line.className = "frame-line";
-    plot.over.append(line);
-    drawn.current = { plot, line };
-    loop.wake();
-    const seek = (event: PointerEvent) => {
-      if (event.buttons !== 1) return;
-      player.playing = false;
-      player.show(nearestIn(x, plot.posToVal(event.clientX - plot.over.getBoundingClientRect().left, "x")));
-    };
-    plot.over.addEventListener("pointerdown", (event) => {
-      plot.over.setPointerCapture(event.pointerId);
-      seek(event);
-    });
-    plot.over.addEventListener("pointermove", seek);
-  };
+function isKnown(deviations: Float64Array | null): deviations is Float64Array {
+  return deviations?.some(Number.isFinite) ?? false;
 }
 
-/** Returns the index of the value nearest to one, of values that rise. */
-function nearestIn(rising: Float64Array, value: number): number {
-  let [low, high] = [0, rising.length - 1];
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (rising[middle]! <= value) low = middle;
-    else high = middle;
+function aboutBand({ id }: Curves, lines: Line[]): string {
+  if (lines.some(({ deviations }) => isKnown(deviations))) {
+    return "The band is one standard deviation to either side: how far this may be off.";
   }
-  return value - rising[low]! <= rising[high]! - value ? low : high;
-}
-
-function withGaps(values: Float64Array): (number | null)[] {
-  return Array.from(values, (value) => (Number.isNaN(value) ? null : value));
-}
-
-function summaryOf({ label, unit, series }: Curves, values: Float64Array[]): string {
-  const ranges = series.map(({ name }, index) => {
-    let [low, high] = [Infinity, -Infinity];
-    for (const value of values[index] ?? []) {
-      if (value < low) low = value; // false for NaN
-      if (value > high) high = value;
-    }
-    return `${name} from ${number(low)} to ${number(high)}`;
-  });
-  return `${label}, ${unit}: ${ranges.join("; ")}`;
+  if (id === "speed") return "No band: errors of neighbouring frames are alike, so that of a speed is not known.";
+  return "No band: how far this may be off is not known.";
 }

@@ -6,7 +6,9 @@ import { keepSize, pixelRatio, resize } from "../../parts/canvas_size.ts";
 import type { Theme } from "../../parts/theme.ts";
 import { boxOf, subjectSize, usualStep } from "../../science/extent.ts";
 import type { Numbers } from "../../science/numbers.ts";
+import type { Covariances } from "../../science/covariances.ts";
 import type { Joined } from "../show.ts";
+import { losses } from "./doubt.ts";
 import { createParts, type Extent } from "./parts.ts";
 import { placesOf } from "./picking.ts";
 import { takeRenderer } from "./renderer.ts";
@@ -29,6 +31,10 @@ export interface Stage extends Viewpoint {
    * not. */
   keypointPlaces(): Float32Array;
   showTrails(shown: boolean): void;
+  /** Shows how far points may be off, or not.
+   *
+   * @param covariances by which hulls get their directions; without them they are spheres */
+  showDoubt(shown: boolean, covariances: Covariances | null): void;
   /** Draws other edges than the skeleton's, or these again; to be painted after it. */
   join(joined: Joined | null): void;
   /** Lays other points (N, P, 3) over the structure, or takes them away. */
@@ -46,8 +52,9 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
   const renderer = takeRenderer();
   const canvas = renderer.domElement;
   holder.append(canvas);
-  const { scene, skeleton, ghost, trails, floor, frusta } = createParts(take, extent);
+  const { scene, skeleton, ghost, hulls, trails, floor, frusta } = createParts(take, extent);
   let others: Numbers | null = null;
+  let covariances: Covariances | null = null;
   let drawn = -1;
   let stale = true;
   const spoil = () => {
@@ -68,7 +75,8 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     spoil,
     draw(frame) {
       if (!stale && frame === drawn) return false;
-      skeleton.show(frame, take.points);
+      skeleton.show(frame, take.points, hulls.mesh.visible ? losses(take, frame, extent.size) : undefined);
+      if (hulls.mesh.visible) hulls.show(frame, covariances);
       if (others !== null) ghost.show(frame, others);
       trails.show(frame);
       frusta.show(frame);
@@ -81,6 +89,7 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     paint(theme, selected) {
       skeleton.paint(theme, selected);
       ghost.paint(theme, selected);
+      hulls.paint(theme);
       trails.paint(theme, selected.length === 0 ? endsOf(take) : selected);
       floor.paint(theme);
       frusta.paint(theme);
@@ -93,6 +102,11 @@ export function createStage(holder: HTMLElement, take: Take, firstFrame: number,
     },
     showTrails(shown) {
       trails.lines.visible = shown;
+      spoil();
+    },
+    showDoubt(shown, known) {
+      hulls.mesh.visible = shown;
+      covariances = known;
       spoil();
     },
     join(joined) {

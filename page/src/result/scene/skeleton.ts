@@ -9,10 +9,12 @@ import { litMaterial } from "./lit_material.ts";
 
 const GHOST = 0.3; // opacity
 const BONE = 0.45; // radius of a bone, as a share of a joint's
+const MOST_LOST = 0.88; // share of a colour that a keypoint may lose to that of the panel
 
 export interface Skeleton {
   group: Group;
-  show(frame: number, points: Numbers): void;
+  /** @param lost how much of its colour each keypoint loses (P,), if any does */
+  show(frame: number, points: Numbers, lost?: Float32Array): void;
   paint(theme: Theme, selected: readonly number[]): void;
   /** Draws other edges, until it is called with null; those that are offered stand out. Paint after it. */
   join(joined: Joined | null): void;
@@ -29,11 +31,38 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
   let joined: Joined = { edges: take.edges, offered: false };
   let bones = bonesOf(joined);
   let chosen: readonly number[] = [];
+  let theme: Theme | null = null;
+  let fading = false;
 
   function bonesOf({ edges }: Joined): InstancedMesh {
     const made = changing(new InstancedMesh(cylinder, material, edges.length));
     if (edges.length > 0) group.add(made);
     return made;
+  }
+
+  function colourAll(lost?: Float32Array): void {
+    if (theme === null) return;
+    const ground = new Color(theme.panel).convertLinearToSRGB(); // as eyes count: else less would be lost in the dark
+    const colour = new Color();
+    const put = (mesh: InstancedMesh, index: number, name: string, loss: number) => {
+      colour
+        .set(name)
+        .convertLinearToSRGB()
+        .lerp(ground, MOST_LOST * loss);
+      mesh.setColorAt(index, colour.convertSRGBToLinear());
+    };
+    for (let keypoint = 0; keypoint < keypoints; keypoint++) {
+      const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]!);
+      put(joints, keypoint, chosen.includes(keypoint) ? theme.accent : plain, lost?.[keypoint] ?? 0);
+    }
+    for (const [edge, [a, b]] of joined.edges.entries()) {
+      const side = sides[a]! || sides[b]!; // a bone from the trunk belongs to its limb
+      const name = ghost || joined.offered ? theme.accent : colourOf(theme, side);
+      put(bones, edge, name, lost === undefined ? 0 : Math.max(lost[a]!, lost[b]!));
+    }
+    for (const mesh of [joints, bones]) {
+      if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
+    }
   }
 
   return {
@@ -44,7 +73,9 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       joined = other ?? { edges: take.edges, offered: false };
       bones = bonesOf(joined);
     },
-    show(frame, points) {
+    show(frame, points, lost) {
+      if (lost !== undefined || fading) colourAll(lost);
+      fading = lost !== undefined;
       const first = 3 * keypoints * frame;
       const spheres = joints.instanceMatrix.array;
       for (let keypoint = 0; keypoint < keypoints; keypoint++) {
@@ -57,21 +88,10 @@ export function createSkeleton(take: Take, size: number, ghost = false): Skeleto
       });
       joints.instanceMatrix.needsUpdate = bones.instanceMatrix.needsUpdate = true;
     },
-    paint(theme, selected) {
+    paint(next, selected) {
+      theme = next;
       chosen = selected;
-      const colour = new Color();
-      for (let keypoint = 0; keypoint < keypoints; keypoint++) {
-        const plain = ghost ? theme.accent : colourOf(theme, sides[keypoint]!);
-        const name = selected.includes(keypoint) ? theme.accent : plain;
-        joints.setColorAt(keypoint, colour.set(name));
-      }
-      joined.edges.forEach(([a, b], edge) => {
-        const side = sides[a]! || sides[b]!; // a bone from the trunk belongs to its limb
-        bones.setColorAt(edge, colour.set(ghost || joined.offered ? theme.accent : colourOf(theme, side)));
-      });
-      for (const mesh of [joints, bones]) {
-        if (mesh.instanceColor !== null) mesh.instanceColor.needsUpdate = true;
-      }
+      colourAll();
     },
   };
 }
