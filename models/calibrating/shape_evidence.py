@@ -130,6 +130,36 @@ def shape_evidence(located: Located) -> Float64:
     return evidence
 
 
+def predicted_from_others(shapes: LocatedShapes, located: Located) -> tuple[Float64, Float64]:
+    """Predict each point of frames from the others by shapes that were learnt elsewhere.
+
+    Returns errors (N, P, 3) in the shapes' frame of reference, and their covariances (N, P, 3, 3)
+    without what shapes leave open of the point itself; NaN where a point is not known.
+    """
+    posed = _posed(shapes, located, STEPS_JUDGED)
+    frames, count = *located.known.shape[:1], shapes.basis.shape[2]
+    columns = np.concatenate(
+        (
+            np.broadcast_to(shapes.basis, (frames, *shapes.basis.shape)),
+            -_crossed(posed.canonical),
+            np.broadcast_to(EYE, posed.precisions.shape),
+        ),
+        -1,
+    )  # (N, P, 3, Q + 6)
+    expected = shapes.mean + np.einsum("pij,nj->npi", shapes.basis, posed.components)
+    own = columns.mT @ posed.precisions @ columns
+    without = np.linalg.inv(posed.curvature[:, None] - own + RIDGE * np.eye(count + 6))
+    by_others = columns @ without @ columns.mT  # of the prediction
+    errors = (posed.canonical - expected)[..., None]
+    errors = (EYE + by_others @ posed.precisions) @ errors
+    known = located.known
+    covariances = np.full(posed.precisions.shape, np.nan)
+    turns = np.broadcast_to(posed.rotations[:, None], covariances.shape)[known]
+    noise = turns.mT @ np.linalg.inv(located.information[known]) @ turns
+    covariances[known] = noise + by_others[known]
+    return np.where(known[..., None], errors[..., 0], np.nan), covariances
+
+
 def blocks_of(frames: int) -> Int64:
     """Return the block (N,) of each frame: neighbours are alike, and belong together."""
     count = min(MOST_BLOCKS, max(LEAST_BLOCKS, frames // LONGEST_BLOCK))

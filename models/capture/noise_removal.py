@@ -47,6 +47,20 @@ class NoiseRemoval(NamedTuple):
             return _root_mean_square(self.denoiser.noise), self.denoiser.remaining_noise
         return None
 
+    @property
+    def shares_left(self) -> tuple[float, float]:
+        """Shares of the noise that are left: in frames one by one, and smoothed in time."""
+        alone = 1.0
+        if self.denoiser is not None:
+            alone = self.denoiser.remaining_noise / _root_mean_square(self.denoiser.noise)
+        if self.motion is None:
+            return min(alone, 1.0), min(alone, 1.0)
+        return min(alone, 1.0), min(self.motion.left / _root_mean_square(self.motion.noise), 1.0)
+
+    def smooths(self, times: ArrayLike | None) -> bool:
+        """Whether `remove` smooths frames with these times."""
+        return times is not None and self.motion is not None
+
     def weighed(self, detected: Observations) -> Observations:
         """Weight the detected keypoints of the fit by the inverse variance of their noise.
 
@@ -91,7 +105,7 @@ class NoiseRemoval(NamedTuple):
         (N, K, P, 3): pixels, and the inverse variance of their noise, 0 where not observed.
         (0, K, P, 3) if `remove` does not treat these frames one by one.
         """
-        if self.denoiser is None or (times is not None and self.motion is not None):
+        if self.denoiser is None or self.smooths(times):
             return np.zeros((0, *observations.weights.shape[1:], 3), np.float32)
         pixels, _ = pixels_of(observations)
         precisions = observations.weights / np.square(self.denoiser.noise[list(views)])

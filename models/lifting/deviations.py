@@ -22,8 +22,9 @@ def with_deviations(
     if posterior is None or rig is None:
         found = unknown_uncertainty(*lift.points3d.shape[:2], modes=modes)
     else:
-        seen, detected = observed.observations, observed.detected
-        found = posterior.uncertainty(lift, rig, observed.views, seen, detected, modes=modes)
+        seen, views = observed.observations, observed.views
+        removed = observed.detected, observed.smoothed
+        found = posterior.uncertainty(lift, rig, views, seen, *removed, modes=modes)
     return lift._replace(
         points3d_sd=found.sds,
         points3d_covariance=found.covariances,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import lru_cache, partial
 
 import numpy as np
@@ -38,7 +39,7 @@ from models.numerics.tensor_files import (
     unpack,
     without_prefix,
 )
-from models.posterior.posterior import Posterior
+from models.posterior.posterior import POSTERIOR_KIND, Posterior
 from models.settings.config import FitConfig, Refine, Uncertainty
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
@@ -98,9 +99,8 @@ class FittedPrior:
         capture: FittedCapture,
         outliers: OutlierModel | None = None,
         noise_removal: NoiseRemoval | None = None,
-        posterior: Posterior | None = None,
     ) -> "FittedPrior":
-        """Return the same prior with what a fit learnt of its keypoints, and its posterior."""
+        """Return the same prior with what a fit learnt of its keypoints."""
         return FittedPrior(
             config,
             self._arrays,
@@ -112,8 +112,13 @@ class FittedPrior:
             outliers,
             self._skeleton,
             self._structures,
-            posterior,
         )
+
+    def with_posterior(self, posterior: Posterior) -> "FittedPrior":
+        """Return the same prior that knows how far its answers may be off."""
+        knowing = copy(self)
+        knowing._posterior = posterior
+        return knowing
 
     @property
     def noise(self) -> float:
@@ -314,7 +319,7 @@ class FittedPrior:
             "outliers": (OUTLIERS_KIND, self._outliers),
             "skeleton": ("yes", self._skeleton),
             "structures": ("yes", self._structures),
-            "posterior": ("yes", self._posterior),
+            "posterior": (POSTERIOR_KIND, self._posterior),
         }
         for name, (kind, other) in others.items():
             if other is not None:

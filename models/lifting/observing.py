@@ -33,6 +33,7 @@ class ObservedFrames(NamedTuple):
     # (N, K, P, 3): pixels before noise was removed from each frame on its own, and the inverse
     # variance of this noise, 0 where not observed. (0, K, P, 3) if no noise was removed so.
     detected: Float32
+    smoothed: Bool  # (N,) whether noise was removed by smoothing in time
 
     def frames(self, chosen: slice | Bool) -> "ObservedFrames":
         """Return some of the frames."""
@@ -40,7 +41,8 @@ class ObservedFrames(NamedTuple):
         part = None if judged is None else judged[chosen]
         frames = self.observations.frames(chosen)
         detected = self.detected[chosen] if len(self.detected) else self.detected
-        return ObservedFrames(frames, part, self.views, self.left_out[chosen], detected)
+        left_out, smoothed = self.left_out[chosen], self.smoothed[chosen]
+        return ObservedFrames(frames, part, self.views, left_out, detected, smoothed)
 
 
 def join_observed(parts: Sequence[ObservedFrames]) -> ObservedFrames:
@@ -54,6 +56,7 @@ def join_observed(parts: Sequence[ObservedFrames]) -> ObservedFrames:
         parts[0].views,
         np.concatenate([part.left_out for part in parts]),
         _join_detected(parts),
+        np.concatenate([part.smoothed for part in parts]),
     )
 
 
@@ -62,15 +65,18 @@ def _as_seen(
     probabilities: Float32 | None,
     views: tuple[int, ...] | None,
     left_out: Float32,
+    *,
+    smoothed: bool = False,
 ) -> ObservedFrames:
     """Return frames from which no noise was removed, or by smoothing in time."""
-    return ObservedFrames(observations, probabilities, views, left_out, left_out[:0])
+    in_time = np.full(len(left_out), smoothed)
+    return ObservedFrames(observations, probabilities, views, left_out, left_out[:0], in_time)
 
 
 def _join_detected(parts: Sequence[ObservedFrames]) -> Float32:
     if not any(len(part.detected) for part in parts):
         return parts[0].detected
-    rows = [d if len(d) else np.zeros_like(left_out) for *_, left_out, d in parts]
+    rows = [p.detected if len(p.detected) else np.zeros_like(p.left_out) for p in parts]
     return np.concatenate(rows)
 
 
@@ -114,6 +120,7 @@ class Observer:
             observations=removed,
             left_out=nothing_left_out(removed),
             detected=self._removal.detected(observed.observations, observed.views, times),
+            smoothed=np.full(len(removed.weights), self._removal.smooths(times)),
         )
 
     def follow(self, views: Sequence[int] | None, lag: int) -> "Following":
@@ -202,4 +209,5 @@ class Following:
         judged = [self._judged.popleft() for _ in range(len(observations.weights))]
         known = [one for one in judged if one is not None]
         probabilities = np.concatenate(known) if known else None
-        return _as_seen(observations, probabilities, self.views, nothing_left_out(observations))
+        left_out = nothing_left_out(observations)
+        return _as_seen(observations, probabilities, self.views, left_out, smoothed=True)

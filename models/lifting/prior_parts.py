@@ -41,5 +41,7 @@ def parts_of(about: dict[str, str], keypoints: int) -> dict[str, Part]:
             lambda arrays: SkeletonLengths.from_arrays(arrays, keypoints),
         ),
         "structures": Part(lambda: KnownStructures.shapes(keypoints), KnownStructures.from_arrays),
-        "posterior": Part(lambda: Posterior.shapes(keypoints), Posterior.from_arrays),
+        "posterior": Part(
+            lambda: Posterior.shapes_in_files(keypoints, about["posterior"]), Posterior.from_arrays
+        ),
     }

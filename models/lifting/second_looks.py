@@ -64,7 +64,7 @@ def _lift(
     lifter: Lifter, observed: ObservedFrames, before: Answers, *, judging: bool
 ) -> tuple[Answers, Int8]:
     """Return answers and, if `judging`, verdicts (N, K, P) on keypoints; else (0, K, P)."""
-    observations, judged, _, left_out, detected = observed
+    observations, judged, _, left_out, detected, _ = observed
     shape = observations.weights.shape
     answers = make_answers(*shape)
     if judged is not None:
@@ -101,7 +101,7 @@ def _lift(
 
 def _seen_so(observed: ObservedFrames, verdicts: Int8) -> ObservedFrames:
     """Return frames without stray keypoints, and with those that return."""
-    observations, judged, views, left_out, detected = observed
+    observations, judged, views, left_out, detected, smoothed = observed
     strays, returns = verdicts == STRAYS, verdicts == RETURNS
     pixels, _ = pixels_of(observations)
     there = np.concatenate((pixels, observations.weights[..., None]), axis=-1, dtype=np.float32)
@@ -115,6 +115,7 @@ def _seen_so(observed: ObservedFrames, verdicts: Int8) -> ObservedFrames:
         views,
         np.where(strays[..., None], there, np.where(returns[..., None], 0, left_out)),
         np.where(strays[..., None], 0, detected) if len(detected) else detected,
+        smoothed,
     )
 
 

@@ -19,6 +19,7 @@ Float64 = NDArray[np.float64]
 # Student's t: a keypoint that lies further off than most counts less. None counts for more than
 # one of white noise.
 FREEDOM = 4.0
+STEP = 1e-5  # of the largest coordinate, for differences of pixels
 TINY = 1e-12
 
 
@@ -63,6 +64,17 @@ def reprojected(frames: Frames, points: Float64) -> Float64:
     return project(held, frames.lenses)
 
 
+def derivatives_of(frames: Frames) -> tuple[Float64, Float64]:
+    """Return derivatives (N, K, P, 2, 3) of pixels by points, and the pixels (N, K, P, 2)."""
+    points = frames.points
+    step = STEP * float(np.abs(points).max())
+    ahead, behind = (
+        np.stack([reprojected(frames, points + way * step * axis) for axis in np.eye(3)], -1)
+        for way in (1, -1)
+    )
+    return (ahead - behind) / (2 * step), reprojected(frames, points)
+
+
 @compiled
 def make_frames(keypoints: Float64, rig: Rig) -> Frames:
     """Return frames of keypoints (N, K, P, 2); all else is to be written."""
@@ -78,6 +90,7 @@ def make_frames(keypoints: Float64, rig: Rig) -> Frames:
         keypoints,
         np.empty((count, views, points)),
         np.empty((count, 3, 3)),
+        np.ones((count, points)),
     )
 
 

@@ -14,11 +14,13 @@ from models.numerics.matrices import total
 from models.posterior.answers import fill_frames, make_frames
 from models.posterior.frames import (
     Covariances,
+    Frames,
     LearntShapes,
     make_covariances,
     write_covariances,
 )
 
+Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
@@ -33,14 +35,25 @@ class Uncertainty(NamedTuple):
     modes: Float32  # (N, P, 3, MODES), or (N, P, 3, 0)
 
 
+class Noise(NamedTuple):
+    """What K views of a lift are known to have of it, and what a lift leaves of it."""
+
+    deviations: Float64  # (K, P) pixels, of a coordinate of confidence 1
+    # Of frames one by one, and of frames that were smoothed in time: the share that is left before
+    # a lift, and corrections of points that no view shows, one view, two, ...
+    left: Float64  # (2,)
+    corrections: Float64  # (2, V + 1), of V >= K views
+
+
 @compiled
 def write_deviations(
     answers: Answers,
     rig: Rig,
     seen: Observations,
     detected: Float32,
+    smoothed: Bool,
     shapes: LearntShapes,
-    noise: Float64,
+    noise: Noise,
     factor: Float64,
     start: int,
     stop: int,
@@ -51,7 +64,33 @@ def write_deviations(
     A frame without a perspective camera stays as it is. Covariances and modes are only written if
     there is room for them.
     """
-    some, (views, count) = stop - start, noise.shape
+    some, views = stop - start, len(noise.deviations)
+    frames = frames_as_detected(answers, rig, seen, detected, smoothed, shapes, noise, start, stop)
+    full = out.covariances.shape[2] > 0
+    found = make_covariances(some, shapes, factor, full)
+    write_covariances(frames, shapes, factor, 0, some, found)
+    for n in range(start, stop):
+        placed = False
+        for k in range(views):
+            placed = placed or answers.camera_models[n, k] > 0
+        if placed and math.isfinite(found.blocks[n - start, 0, 0, 0]):
+            _write(found, n - start, full, n, out)
+
+
+@compiled
+def frames_as_detected(
+    answers: Answers,
+    rig: Rig,
+    seen: Observations,
+    detected: Float32,
+    smoothed: Bool,
+    shapes: LearntShapes,
+    noise: Noise,
+    start: int,
+    stop: int,
+) -> Frames:
+    """Return frames from `start` to `stop` with keypoints as they were before noise was removed."""
+    some, (views, count) = stop - start, noise.deviations.shape
     keypoints, weights = np.zeros((some, views, count, 2)), np.zeros((some, views, count))
     for n in range(start, stop):
         for k in range(views):
@@ -62,16 +101,19 @@ def write_deviations(
                     pixel = seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
                     keypoints[n - start, k, p, i] = detected[n, k, p, i] if known else pixel
     frames = make_frames(keypoints, rig)
-    fill_frames(answers, rig, shapes.mean, weights, noise, start, stop, start, frames)
-    full = out.covariances.shape[2] > 0
-    found = make_covariances(some, shapes, factor, full)
-    write_covariances(frames, shapes, factor, 0, some, found)
-    for n in range(start, stop):
-        placed = False
-        for k in range(views):
-            placed = placed or answers.camera_models[n, k] > 0
-        if placed and math.isfinite(found.blocks[n - start, 0, 0, 0]):
-            _write(found, n - start, full, n, out)
+    fill_frames(answers, rig, shapes.mean, weights, noise.deviations, start, stop, start, frames)
+    for n in range(some):
+        removed = int(smoothed[start + n])
+        of_views = noise.corrections[removed]
+        for p in range(count):
+            showing = 0
+            for k in range(views):
+                if weights[n, k, p] > 0:
+                    showing += 1
+                # Only now: how far a keypoint lies off is judged by the noise that it had.
+                frames.weights[n, k, p] /= noise.left[removed] ** 2
+            frames.corrections[n, p] = of_views[showing]
+    return frames
 
 
 @inner

@@ -49,6 +49,7 @@ class Frames(NamedTuple):
     keypoints: Float64  # (N, K, P, 2) pixels
     weights: Float64  # (N, K, P) inverse variances, 0 where a keypoint is not used
     turned: Float64  # (N, 3, 3) scale times rotation, from the shapes' mean to the answer
+    corrections: Float64  # (N, P) of the deviations that a frame leaves with known cameras
 
 
 class LearntShapes(NamedTuple):
@@ -176,6 +177,7 @@ def write_covariances(
         found = _room_for(cameras, shape, count, shared)
         if not covariance_of_frame(frames.points[n], cameras, views, shape, found):
             continue
+        _correct(found, frames.corrections[n])
         size = SIMILARITY - 1 if _rig_views(cameras, views) > 1 else SIMILARITY
         axes = _gauge(frames.points[n], size)
         _project(axes, found.modes)
@@ -244,6 +246,17 @@ def _project(axes: Float64, columns: Float64) -> None:
             for i in range(3):
                 for c in range(size):
                     columns[p, i, c] -= axes[a, p, i] * along[a, c]
+
+
+@inner
+def _correct(found: FrameCovariance, corrections: Float64) -> None:
+    """Multiply each point's deviations with known cameras by its correction (P,)."""
+    for p in range(len(corrections)):
+        for i in range(3):
+            for j in range(3):
+                found.own[p, i, j] *= corrections[p] ** 2
+            for c in range(found.modes.shape[2]):
+                found.modes[p, i, c] *= corrections[p]
 
 
 @inner

@@ -1,7 +1,5 @@
 """What a fit learns of its own doubt: noise of its keypoints, shapes, and covariance of cameras."""
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,13 +7,12 @@ from models.bundle.problem import CENTRE_X, FOCAL, LENS, RADIAL, RADIAL_2, VIEW,
 from models.calibrating.shape_evidence import (
     LEAST_KNOWN,
     Located,
-    LocatedShapes,
     blocks_of,
     learn_shapes_of,
+    predicted_from_others,
 )
-from models.capture.metrics import procrustes_by_size
 from models.network.answers import Answers
-from models.posterior.answers import frames_of, reprojected
+from models.posterior.answers import derivatives_of, frames_of, reprojected
 from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
 from models.posterior.posterior import Posterior
 
@@ -26,8 +23,8 @@ LEAST_FRAMES = 4  # in which keypoints locate points
 FRAMES_EACH = 8  # at least, that shapes are learnt from and judged on
 LEAST_SPREAD = 1e-3  # of a keypoint about its shapes, radii of the structure
 LEAST_NOISE = 1e-3  # pixels
-STEP = 1e-5  # of the largest coordinate, for differences of pixels
 ILL = 1e8  # condition of the information on a point, from which keypoints do not locate it
+FURTHEST = 9.0  # variances, that the square of an error counts for
 POOLED = 20.0  # frames that the noise of a view's other keypoints is worth
 ROUNDS = 5  # of learning noise
 MOST_LEVERAGE = 0.98  # share of the noise that an answer follows
@@ -35,8 +32,8 @@ HALF = 2 * np.log(2)  # median of the squared distance of white noise in two dir
 TINY = 1e-12
 LEFT = 1.579  # mean squared distance of white noise of variance 1, as far as it counts
 BLOCKS = 20  # of frames whose errors are independent
-MATTERS = 0.99  # of the variance of points by cameras, that few directions of these must make
-MOST_FACTORS = 8
+MATTERS = 0.02  # of a point's own variance, by cameras
+MOST_FACTORS = 16
 # Standard deviations without any keypoint, where the number is free: as in
 # `models.calibrating.lens_prior`, those of one kind of lens.
 LENS_SDS = {FOCAL: 0.5, RADIAL: 0.2, RADIAL_2: 0.07}
@@ -52,7 +49,7 @@ def learn_posterior(
     weights: Float64,
     deviations: Float64,
     *,
-    share_left: float = 1.0,
+    shares_left: tuple[float, float] = (1.0, 1.0),
 ) -> Posterior | None:
     """Learn from the frames of a fit and their answers, which have perspective cameras.
 
@@ -66,8 +63,9 @@ def learn_posterior(
         (N, K, P, 2) pixels as they were detected, and (N, K, P) confidences, 0 where not used.
     deviations
         (K, 11) standard deviations that the calibration gives to its numbers; 0 where held.
-    share_left
-        Share of the noise that its removal leaves in keypoints before a lift.
+    shares_left
+        Shares of the noise that its removal leaves before a lift: of frames one by one, and
+        smoothed in time.
     """
     weights = np.where((answers.camera_models > 0)[..., None], weights, 0.0)
     noise = np.full(weights.shape[1:], _typical(answers, rig, mean, keypoints, weights))
@@ -83,7 +81,9 @@ def learn_posterior(
     shapes = _shapes(located.of(usable))
     frames = frames_of(answers, rig, shapes.mean, keypoints, weights, noise)
     factor = _that_matters(frames, shapes, camera_factor(frames, shapes, rig, deviations))
-    return Posterior(*shapes, noise, factor, share_left)
+    return Posterior(
+        *shapes, noise, factor, np.array(shares_left), np.ones((2, weights.shape[1] + 1))
+    )
 
 
 def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
@@ -92,7 +92,7 @@ def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
     Returns them as far as two views show them, the pixels (N, K, P, 2) that keypoints are off
     then, and the share (N, K, P) of white noise that is left in these.
     """
-    derivatives, pixels = _derivatives(frames)
+    derivatives, pixels = derivatives_of(frames)
     off = frames.keypoints - pixels
     information = np.einsum("nkp,nkpai,nkpaj->npij", frames.weights, derivatives, derivatives)
     pull = np.einsum("nkp,nkpai,nkpa->npi", frames.weights, derivatives, off)
@@ -113,27 +113,6 @@ def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
     return located, left, share
 
 
-def _derivatives(frames: Frames) -> tuple[Float64, Float64]:
-    """Return derivatives (N, K, P, 2, 3) of pixels by points, and the pixels (N, K, P, 2)."""
-
-    def pixels_of(points: Float64) -> Float64:
-        return reprojected(frames, points)
-
-    return _slopes(pixels_of, frames.points), pixels_of(frames.points)
-
-
-def _slopes(pixels_of: Callable[[Float64], Float64], points: Float64) -> Float64:
-    """Return derivatives (..., 2, 3) of pixels (..., 2) by the coordinates of their points."""
-    step = STEP * float(np.abs(points).max())
-    return np.stack(
-        [
-            (pixels_of(points + step * axis) - pixels_of(points - step * axis)) / (2 * step)
-            for axis in np.eye(3)
-        ],
-        -1,
-    )
-
-
 def _shapes(located: Located) -> LearntShapes:
     """Learn shapes from points that keypoints alone locate.
 
@@ -141,41 +120,38 @@ def _shapes(located: Located) -> LearntShapes:
     were not learnt from.
     """
     learnt = learn_shapes_of(located)
+    own = learnt.left.trace(axis1=1, axis2=2) / 3
     odd = blocks_of(len(located.points)) % 2
-    left, counts = np.zeros(len(learnt.mean)), np.zeros(len(learnt.mean))
+    squares, spreads = [np.empty((0, *located.points.shape[1:]))] * 2
     for half in (0, 1):
         some, others = np.flatnonzero(odd == half), np.flatnonzero(odd != half)
-        if min(len(some), len(others)) < FRAMES_EACH:
-            continue
-        squares, known = _predicted(learn_shapes_of(located.of(some)), located.of(others))
-        left, counts = left + squares, counts + known
-    own = learnt.left.trace(axis1=1, axis2=2) / 3
-    typical = left.sum() / max(float(counts.sum()), TINY) if counts.any() else own.mean()
-    variances = np.maximum(own, (left + POOLED * typical) / (counts + POOLED)) + LEAST_SPREAD**2
+        if min(len(some), len(others)) >= FRAMES_EACH:
+            errors, expected = predicted_from_others(
+                learn_shapes_of(located.of(some)), located.of(others)
+            )
+            values, axes = np.linalg.eigh(np.nan_to_num(expected))
+            along = (axes.mT @ errors[..., None])[..., 0]
+            squares = np.concatenate((squares, np.square(along)))
+            spreads = np.concatenate((spreads, values))
+    variances = np.maximum(own, _left_open(squares, spreads, own)) + LEAST_SPREAD**2
     return LearntShapes(*(np.ascontiguousarray(a) for a in (learnt.mean, learnt.basis, variances)))
 
 
-def _predicted(shapes: LocatedShapes, located: Located) -> tuple[Float64, Float64]:
-    """Predict each keypoint of frames from the others.
+def _left_open(squares: Float64, spreads: Float64, start: Float64) -> Float64:
+    """Return variances (P,) by which squares (N, P, 3) of errors exceed their expectations.
 
-    Returns sums (P,) of squared errors of a coordinate, less the noise of the points, and how many
-    frames (P,) know the keypoint.
+    Each counts by the inverse square of its own variance, and an outlier for no more than FURTHEST.
     """
-    known = located.known
-    holes = np.where(known[..., None], located.points, np.nan)
-    aligned = np.nan_to_num(procrustes_by_size(holes, np.broadcast_to(shapes.mean, holes.shape)))
-    noise = np.zeros(known.shape)
-    noise[known] = np.linalg.inv(located.information[known]).trace(axis1=1, axis2=2) / 3
-    offsets = np.where(known[..., None], aligned - shapes.mean, 0.0)  # (N, P, 3)
-    weights = known / (noise + shapes.left.trace(axis1=1, axis2=2) / 3)
-    pulls = weights[..., None] * np.einsum("piq,npi->npq", shapes.basis, offsets)
-    inner = weights[..., None, None] * (shapes.basis.mT @ shapes.basis)  # (N, P, Q, Q)
-    others = inner.sum(1, keepdims=True) - inner + np.eye(shapes.basis.shape[2])
-    pull = pulls.sum(1, keepdims=True) - pulls
-    z = np.linalg.solve(others, pull[..., None])[..., 0]
-    left = offsets - np.einsum("piq,npq->npi", shapes.basis, z)
-    squares = np.where(known, np.square(left).mean(-1) - noise, 0.0)
-    return squares.sum(0).clip(0), known.sum(0)
+    found, known = start, np.isfinite(squares)
+    for _ in range(ROUNDS if known.any() else 0):
+        total = spreads + found[:, None]
+        weights = known / np.square(total)
+        excess = np.where(known, np.minimum(squares, FURTHEST * total) - spreads, 0.0)
+        sums, counts = (weights * excess).sum((0, 2)), weights.sum((0, 2))
+        typical = sums.sum() / counts.sum()
+        pooled = POOLED * np.square(1 / found.mean())
+        found = ((sums + pooled * typical) / (counts + pooled)).clip(LEAST_SPREAD**2)
+    return found
 
 
 def _noise(weights: Float64, left: Float64, share: Float64) -> Float64:
@@ -244,12 +220,19 @@ def camera_factor(frames: Frames, shapes: LearntShapes, rig: Rig, deviations: Fl
 
 
 def _that_matters(frames: Frames, shapes: LearntShapes, factor: Float64) -> Float64:
-    """Keep the few directions of a factor (K, 11, T) that move points."""
-    moved = covariances_of(frames, shapes, factor).by_cameras.reshape(-1, factor.shape[2])
-    moved = moved[np.isfinite(moved).all(1)]
-    values, vectors = np.linalg.eigh(moved.T @ moved)
-    kept = values[::-1].cumsum() < MATTERS * values.sum()
-    some = min(int(kept.sum()) + 1, MOST_FACTORS)
+    """Keep the directions of a factor (K, 11, T) that move points by more than a frame leaves open.
+
+    Each point's share is in units of its own covariance, since one direction in which cameras are
+    hardly known would hide all others.
+    """
+    own = covariances_of(frames, shapes, np.zeros((*factor.shape[:2], 1)), modes=False).blocks
+    moved = covariances_of(frames, shapes, factor).by_cameras  # (N, P, 3, T)
+    known = np.isfinite(own).all((2, 3)) & np.isfinite(moved).all((2, 3))
+    white = np.linalg.solve(np.linalg.cholesky(own[known]), moved[known])
+    rows = white.reshape(-1, factor.shape[2])
+    values, vectors = np.linalg.eigh(rows.T @ rows / max(len(rows), 1))
+    left = values.cumsum()[::-1]  # of the variance of a coordinate, with as many fewer directions
+    some = min(max(int((left > MATTERS).sum()), 1), MOST_FACTORS)
     return np.ascontiguousarray(factor @ vectors[:, ::-1][:, :some])
 
 

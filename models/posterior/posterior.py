@@ -11,15 +11,16 @@ from models.capture.observations import Observations
 from models.network.answers import MODES, Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
-from models.posterior.deviations import Uncertainty, write_deviations
+from models.posterior.deviations import Noise, Uncertainty, write_deviations
 from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
 
+Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
+POSTERIOR_KIND = "corrected"  # in files
 MOST_COMPONENTS, MOST_FACTORS = 64, 64  # that a file may hold
 SYMMETRIC = 6  # numbers of a symmetric matrix (3, 3)
-NUMBERS = ("mean", "basis", "variances", "noise", "factor")  # that are arrays
 
 
 class Posterior(NamedTuple):
@@ -30,7 +31,9 @@ class Posterior(NamedTuple):
     variances: Float64  # (P,)
     noise: Float64  # (K, P) pixels, of a coordinate of confidence 1
     factor: Float64  # (K, 11, T) the covariance of the cameras' numbers is L L^T
-    left: float  # share of the noise that its removal leaves in keypoints of the fit's views
+    # In keypoints of the fit's views, as in `Noise`:
+    left: Float64  # (2,)
+    corrections: Float64  # (2, K + 1)
 
     def uncertainty(
         self,
@@ -39,6 +42,7 @@ class Posterior(NamedTuple):
         views: Sequence[int] | None,
         seen: Observations,
         detected: Float32,
+        smoothed: Bool,
         *,
         modes: bool,
     ) -> Uncertainty:
@@ -56,47 +60,61 @@ class Posterior(NamedTuple):
             Of the K views of the answers.
         views
             Which views of the fit they are; None: cameras that it does not know.
-        seen, detected
-            The keypoints; those before noise was removed as in `ObservedFrames`.
+        seen, detected, smoothed
+            The keypoints; those before noise was removed, and how it was, as in `ObservedFrames`.
         modes
             Whether covariances and modes are wanted.
         """
-        noise, factor = self._of(views, seen.weights.shape[1])
         frames, count, _ = answers.points3d.shape
         out = unknown_uncertainty(frames, count, modes=modes)
-        shapes = LearntShapes(self.mean, self.basis, self.variances)
+        noise, factor = self.noise_of(views, seen.weights.shape[1]), self._factor_of(views, seen)
         in_slices(
             frames,
             FRAMES_AT_A_TIME,
             lambda part: write_deviations(
-                answers, rig, seen, detected, shapes, noise, factor, part.start, part.stop, out
+                answers, rig, seen, detected, smoothed, self.shapes, noise, factor,
+                part.start, part.stop, out,
             ),
-        )
+        )  # fmt: skip
         return out
 
-    def _of(self, views: Sequence[int] | None, count: int) -> tuple[Float64, Float64]:
-        """Return noise (K, P) and factor (K, 11, T) of some views."""
+    @property
+    def shapes(self) -> LearntShapes:
+        """The shapes of the fit."""
+        return LearntShapes(self.mean, self.basis, self.variances)
+
+    def noise_of(self, views: Sequence[int] | None, count: int) -> Noise:
+        """Return the noise of some views of the fit; None: of `count` cameras it does not know."""
+        if views is None:  # nothing was removed, nor is anything known of what lifts make of it
+            usual = np.sqrt(np.square(self.noise).mean(0))
+            return Noise(np.tile(usual, (count, 1)), np.ones(2), np.ones((2, count + 1)))
+        return Noise(self.noise[list(views)], self.left, self.corrections)
+
+    def _factor_of(self, views: Sequence[int] | None, seen: Observations) -> Float64:
         if views is None:
-            noise = np.sqrt(np.square(self.noise).mean(0))
-            return np.tile(noise, (count, 1)), np.zeros((count, *self.factor.shape[1:]))
-        chosen = list(views)
-        return self.left * self.noise[chosen], np.ascontiguousarray(self.factor[chosen])
+            return np.zeros((seen.weights.shape[1], *self.factor.shape[1:]))
+        return np.ascontiguousarray(self.factor[list(views)])
 
     def to_arrays(self) -> Arrays:
         """Return the posterior as tensors, for a file."""
         return as_tensors(self._asdict())
 
     @classmethod
-    def shapes(cls, keypoints: int) -> Shapes:
-        """Shapes of what `to_arrays` returns; None stands for any length."""
-        return {
+    def shapes_in_files(cls, keypoints: int, kind: str) -> Shapes:
+        """Shapes of what `to_arrays` returns; None stands for any length.
+
+        Those of the `kind` "yes", of older versions, had no corrections.
+        """
+        shapes: Shapes = {
             "mean": (keypoints, 3),
             "basis": (keypoints, 3, None),
             "variances": (keypoints,),
             "noise": (None, keypoints),
             "factor": (None, VIEW, None),
-            "left": (1,),
         }
+        if kind != POSTERIOR_KIND:
+            return shapes | {"left": (1,)}
+        return shapes | {"left": (2,), "corrections": (2, None)}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "Posterior":
@@ -107,15 +125,20 @@ class Posterior(NamedTuple):
         WeightsError
             When the tensors contradict each other.
         """
-        numbers = [np.ascontiguousarray(arrays[name].numpy(), np.float64) for name in NUMBERS]
-        mean, basis, variances, noise, factor = numbers
-        found = cls(mean, basis, variances, noise, factor, arrays["left"].item())
+        numbers = {
+            name: np.ascontiguousarray(array.numpy(), np.float64) for name, array in arrays.items()
+        }
+        if "corrections" not in numbers:
+            numbers["left"] = np.repeat(numbers["left"], 2)
+            numbers["corrections"] = np.ones((2, len(numbers["noise"]) + 1))
+        found = cls(**numbers)
+        positive = (found.variances, found.noise, found.left, found.corrections)
         agree = (
             len(found.noise) == len(found.factor)
+            and found.corrections.shape[1] == len(found.noise) + 1
             and found.basis.shape[2] <= MOST_COMPONENTS
             and found.factor.shape[2] <= MOST_FACTORS
-            and 0 < found.left <= 1
-            and bool((found.variances > 0).all() and (found.noise > 0).all())
+            and all((array > 0).all() for array in positive)
         )
         if not agree:
             raise WeightsError("the file contradicts itself about its posterior")

@@ -5,8 +5,11 @@ import copy
 import torch
 from torch import Tensor
 
+from models.lifting.fitted_prior import FittedPrior
 from models.network.losses import Batch, objective
 from models.network.priors.prior import Prior
+from models.settings.config import FitConfig
+from models.settings.priors import ARCHITECTURE
 from models.training.adam import Adam
 
 
@@ -52,6 +55,15 @@ class Learner:
         self._adam.weights.copy_(weights)
         self._adam.mean.copy_(moments[0])
         self._adam.square.copy_(moments[1])
+
+
+def begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
+    """Copy the weights of a prior; raises ValueError if it has another architecture."""
+    pairs = {name: (getattr(start.config, name), getattr(config, name)) for name in ARCHITECTURE}
+    for what, (has, needs) in pairs.items():
+        if has != needs:
+            raise ValueError(f"the prior to start from has {what} {has}, the fit {needs}")
+    network.load_state_dict(start.weights)
 
 
 def _flatten(network: torch.nn.Module) -> tuple[Tensor, Tensor]:

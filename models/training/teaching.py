@@ -168,13 +168,13 @@ class Teaching:
         """Return the usual range of the frames of the fit, with the present network."""
         return learn_usual(self._as_prior(None), self._data, self._unseen)
 
-    def posterior(self) -> Posterior | None:
+    def posterior(self, shares_left: tuple[float, float]) -> Posterior | None:
         """Learn how far answers may be off; None without perspective cameras."""
         found, frames = self.self_calibration, self._frames_of_several_views(0).sort().values
         if found is None or not len(frames):
             return None
-        seen = self._data, self._detected, frames, self._removed_noise
-        return posterior_of(found, self._as_prior(found), *seen)
+        seen = self._data, self._detected, frames
+        return posterior_of(found, self._as_prior(found), *seen, shares_left)
 
     def _as_prior(
         self,

@@ -14,11 +14,9 @@ from models.findings.finding import Finding
 from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
 from models.network.answers import nothing_unusual
-from models.network.priors.prior import Prior
 from models.network.priors.registry import make_prior
 from models.settings.config import FitConfig
 from models.settings.keypoints import check_confidence, check_edges, check_keypoints
-from models.settings.priors import ARCHITECTURE
 from models.settings.times import check_times
 from models.training import checkpoints
 from models.training.batches import Batches, Data
@@ -31,6 +29,7 @@ from models.training.budget import (
     seconds_left,
 )
 from models.training.checkpoints import Checkpoint
+from models.training.fit_posterior import with_posterior
 from models.training.holdout import Holdout, split
 from models.training.keypoints_of_fit import (
     among_known,
@@ -39,7 +38,7 @@ from models.training.keypoints_of_fit import (
     observe,
     usable_frames,
 )
-from models.training.learner import Learner
+from models.training.learner import Learner, begin_with
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
 from models.training.synchronising import put_in_step
@@ -124,22 +123,22 @@ class Trainer:
         read = put_in_step(pixels, confidence, times, config.synchronise)
         seen = observe(read, image_sizes, known, config)
         observations, self._capture = seen.observations, seen.capture
-        self._outliers, self._noise_removal = seen.outliers, seen.noise_removal
+        self._seen, self._removal, self._times = seen, seen.noise_removal, read.times
         frames = usable_frames(observations)
         self.config = config
         self._fingerprint = checkpoints.fingerprint(seen.detected, read.times, image_sizes, pairs)
         self._holdout: Holdout | None = None
         divided = config.early_stopping or config.refine != "off"
-        frames, held_out = split(frames, config.seed) if divided else (frames, frames[:0])
-        unseen = Data.of(observations, held_out)
-        if config.early_stopping and len(held_out):
+        frames, self._held_out = split(frames, config.seed) if divided else (frames, frames[:0])
+        unseen = Data.of(observations, self._held_out)
+        if config.early_stopping and len(self._held_out):
             self._holdout = Holdout(unseen, config.seed)
         self._data = Data.of(observations, frames)
         self._batches = Batches(self._data, size=config.batch_of(len(frames)), seed=config.seed)
         self._network = make_prior(config, observations.keypoints.shape[2])
         self._network.initialise(config.seed)
         if start is not None:
-            _begin_with(self._network, config, start)
+            begin_with(self._network, config, start)
         self._learner = Learner(self._network, torch.device(device))
         among = among_known(config, self._capture.known)
         detected = seen.noise_removal.weighed(seen.detected)
@@ -209,8 +208,11 @@ class Trainer:
         if self.config.refine != "off" and prior.cameras is None:
             missing = Finding.of("cameras_not_found")
             capture = capture._replace(findings=(*capture.findings, missing))
-        learnt = (self._outliers, self._noise_removal, attempt(self._teaching.posterior, None))
-        return prior.of_capture(self.config, capture, *learnt)
+        learnt = prior.of_capture(self.config, capture, self._seen.outliers, self._removal)
+        posterior = attempt(self._teaching.posterior, None, self._removal.shares_left)
+        found = self._teaching.self_calibration
+        seen = self._seen.detected, self._times, self._held_out
+        return with_posterior(learnt, posterior, None if found is None else found.rig, *seen)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to continue, as safetensors bytes."""
@@ -384,15 +386,6 @@ def fit(
         if on_progress is not None:
             on_progress(progress)
     return trainer.result()
-
-
-def _begin_with(network: Prior, config: FitConfig, start: FittedPrior) -> None:
-    """Copy the weights of a prior of the same architecture."""
-    pairs = {name: (getattr(start.config, name), getattr(config, name)) for name in ARCHITECTURE}
-    for what, (has, needs) in pairs.items():
-        if has != needs:
-            raise ValueError(f"the prior to start from has {what} {has}, the fit {needs}")
-    network.load_state_dict(start.weights)
 
 
 def _running_mean(mean: float, value: float, newest: float | None) -> float:

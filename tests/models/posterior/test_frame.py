@@ -114,6 +114,7 @@ class Case:
             self.keypoints[None],
             self.weights[None],
             self.turned[None],
+            np.ones((1, POINTS)),
         )
 
     def hessian(self) -> tuple[Float64, NDArray[np.bool_]]:
