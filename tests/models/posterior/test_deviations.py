@@ -156,7 +156,21 @@ def test_a_file_has_the_posterior() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["noise", "variances"])
+def test_files_without_corrections_are_read() -> None:
+    """Older versions wrote one share of noise, and no corrections."""
+    data = prior().to_bytes()
+    arrays = dict(load(data))
+    arrays["posterior.left"] = arrays["posterior.left"][:1]
+    corrections = arrays.pop("posterior.corrections")
+    header = data[8 : 8 + int.from_bytes(data[:8], "little")]
+    about = json.loads(json.loads(header)["__metadata__"]["fewview"]) | {"posterior": "yes"}
+    older = FittedPrior.from_bytes(save(arrays, {"fewview": json.dumps(about)}))
+    keypoints = capture().keypoints[LATER]
+    ratios = prior().lift(keypoints).points3d_sd / older.lift(keypoints).points3d_sd
+    assert 0.9 * corrections[0, 3] < np.median(ratios) < 1.1  # that of the cameras stays
+
+
+@pytest.mark.parametrize("name", ["noise", "variances", "left", "corrections"])
 def test_a_file_with_a_posterior_that_makes_no_sense_is_refused(name: str) -> None:
     data = prior().to_bytes()
     arrays = dict(load(data))
