@@ -15,6 +15,7 @@ from sqlalchemy import delete as sql_delete
 from sqlalchemy.orm import Session
 
 from models.settings.keypoints import MAX_VIEWS
+from models.settings.uncertainty import Uncertainty, numbers_of
 from store import clock, corrections, jobs, webhooks
 from store.account import PART_BYTES
 from store.authors import author_of, owned_by
@@ -26,7 +27,8 @@ from store.labels import Labels
 from store.lookup import lock
 from store.records import DatasetRecord, LiftChunk, LiftRecord, ModelRecord
 
-CHUNK_NUMBERS = 2**20  # keypoints of a chunk, over all views: its results take some 30 MB
+# Keypoints of a chunk over all views, and numbers of their uncertainty: results take some 30 MB.
+CHUNK_NUMBERS = 2**20
 
 
 def create(
@@ -39,6 +41,7 @@ def create(
     views: list[int] | None = None,
     frame: str = "canonical",
     up: Sequence[float] | str | None = None,
+    uncertainty: Uncertainty = "sd",
     chunk_frames: int,
     labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
@@ -54,6 +57,8 @@ def create(
     ----------
     frame, up
         The frame of reference of the result, and up in a room; see `worker.rooms`.
+    uncertainty
+        How much of it the result has.
     chunk_frames
         Most frames of a chunk; fewer if there are many views and keypoints.
 
@@ -76,7 +81,7 @@ def create(
         _check(views, dataset, model)
         if up is not None and frame != "room":
             raise LiftError("up", "up needs frame=room: give that too, or leave up out")
-        chunks = _cut(lift_id, dataset, chunk_frames)
+        chunks = _cut(lift_id, dataset, chunk_frames, uncertainty)
         lift = LiftRecord(
             id=lift_id,
             name=name,
@@ -87,6 +92,7 @@ def create(
             views=views,
             frame=frame,
             up=up,
+            uncertainty=uncertainty,
             chunks=len(chunks),
             stored_bytes=len(chunks) * PART_BYTES,
             job_id=job_id or lift_id,
@@ -104,9 +110,12 @@ def create(
     )
 
 
-def _cut(lift_id: str, dataset: DatasetRecord, chunk_frames: int) -> list[LiftChunk]:
+def _cut(
+    lift_id: str, dataset: DatasetRecord, chunk_frames: int, uncertainty: Uncertainty
+) -> list[LiftChunk]:
     """Cut a dataset's frames into chunks; fewer frames a chunk where each has many numbers."""
-    size = max(1, min(chunk_frames, CHUNK_NUMBERS // (dataset.views * dataset.keypoints)))
+    of_keypoint = dataset.views + numbers_of(uncertainty)
+    size = max(1, min(chunk_frames, CHUNK_NUMBERS // (of_keypoint * dataset.keypoints)))
     return [
         LiftChunk(
             lift_id=lift_id,

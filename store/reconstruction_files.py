@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.settings.uncertainty import Uncertainty, of_uncertainty
 from store.array_files import Array, LaidOutFile, Span, npz_file, safetensors_header
 from store.capture_files import read_checksum
 from store.database import Store
@@ -28,7 +29,11 @@ class _Stored(NamedTuple):
 
 
 def reconstruction_file(
-    store: Store, fit: FitRecord, wanted: Literal["npz", "safetensors"], metadata: dict[str, str]
+    store: Store,
+    fit: FitRecord,
+    wanted: Literal["npz", "safetensors"],
+    metadata: dict[str, str],
+    uncertainty: Uncertainty,
 ) -> LaidOutFile | None:
     """Return the reconstruction of a fit in a format; None for an older version's, which is less.
 
@@ -38,14 +43,17 @@ def reconstruction_file(
     ----------
     metadata
         Goes into a safetensors file.
+    uncertainty
+        How much of it is wanted, of what is stored.
     """
     found = _stored(store, fit)
+    kept = of_uncertainty({array.name: array for array in found}, uncertainty)
+    found = list(kept.values())
     if all(array.name != "camera_models" for array in found):
         return None
     if wanted == "safetensors":
         arrays = [(name, kind, shape, DTYPES[kind].itemsize) for name, kind, shape, _ in found]
-        whole = Span(found[0].span.key, found[0].span.start, found[-1].span.end)
-        return LaidOutFile([safetensors_header(arrays, metadata), whole])
+        return LaidOutFile([safetensors_header(arrays, metadata), *(array.span for array in found)])
     return npz_file(
         [Array(name, DTYPES[kind], shape, [span]) for name, kind, shape, span in found],
         lambda _array, part: read_checksum(store.objects, part),

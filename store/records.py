@@ -169,6 +169,7 @@ class LiftRecord(Job, Record):
     frame: Mapped[str | None]  # of reference: "canonical" or "room"; None of older versions
     # In the room: [x, y, z] or "auto".
     up: Mapped[Any] = mapped_column(JSON(none_as_null=True), nullable=True)
+    uncertainty: Mapped[str | None]  # that the result has; None of older versions, which is "sd"
     helpers: Mapped[int] = mapped_column(default=0)
     chunks: Mapped[int] = mapped_column(default=0)
     chunks_done: Mapped[int] = mapped_column(default=0)

@@ -18,7 +18,7 @@ from store.settings import shown
 
 logger = logging.getLogger(__name__)
 
-REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009")  # in order
+REVISIONS = tuple(f"{number:04}" for number in range(1, 11))  # in order
 MIGRATIONS = Path(__file__).parent / "migrations"
 
 State = Literal["empty", "older", "current", "newer"]

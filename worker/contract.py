@@ -15,6 +15,7 @@ from rq.job import Job
 from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.uncertainty import Uncertainty
 from store.labels import Metadata, Tags, Text
 from store.mistakes import unknown
 from worker import plain_data
@@ -200,6 +201,7 @@ class LiftArguments(BaseModel):
     up: Up | None = None
     tags: Tags = []
     metadata: Metadata = {}
+    uncertainty: Uncertainty = "sd"
 
 
 def arguments_of(job: KnownJob) -> dict[str, Any]:

@@ -93,6 +93,7 @@ def lift(
     up: str | list[float] | None = None,
     tags: list[str] | None = None,
     metadata: dict[str, Any] | None = None,
+    uncertainty: str = "sd",
 ) -> dict[str, str | None]:
     """Lift a dataset; the body of ``Queue("fits").enqueue("worker.jobs.lift", ...)``.
 
@@ -102,7 +103,7 @@ def lift(
         A fitted model, a stored dataset of the same keypoints.
     name
         A name for people.
-    refine, views, frame, up
+    refine, views, frame, up, uncertainty
         As in ``POST /lift``.
     tags, metadata
         For finding the lift.

@@ -14,6 +14,7 @@ from models.lifting.lift import LiftedFrames, join
 from models.lifting.lift_findings import lift_findings
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
+from models.settings.uncertainty import Uncertainty, of_uncertainty
 from store import corrections, datasets, lift_chunks, lookup, models
 from store.capture import Capture, Float64
 from store.database import Store
@@ -132,7 +133,12 @@ def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> L
         views=job.views,
         times=None if times is None else times[around],
         only=slice(own.start - around.start, own.stop - around.start),
+        uncertainty=_uncertainty_of(job),
     )
+
+
+def _uncertainty_of(job: LiftRecord) -> Uncertainty:
+    return cast(Uncertainty, job.uncertainty or "sd")  # None: of an older version
 
 
 def _do(
@@ -159,7 +165,7 @@ def _do(
             lifted = room.place(lifted, lift.views)
         parts.append(lifted)
         findings += lift_findings(lifted, prior, first_frame=chunk.first_frame + start)
-    arrays = join(parts).arrays
+    arrays = of_uncertainty(join(parts).arrays, _uncertainty_of(lift))
     lines = b"\n".join((*frames_to_json(arrays), b""))
     done = lift_chunks.finish(store, helper, chunk, arrays=arrays, lines=lines, findings=findings)
     if done.status == "succeeded":

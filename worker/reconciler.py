@@ -260,6 +260,7 @@ def _create_lift(
         refine=asked.refine,
         frame=asked.frame,
         up=asked.up,
+        uncertainty=asked.uncertainty,
         views=asked.views,
         labels=Labels(tags=asked.tags, metadata=asked.metadata),
         chunk_frames=settings.lift_chunk_frames,

@@ -68,6 +68,7 @@ class Api(Resource[Driver]):
         views: Iterable[int] | None = None,
         frame: str | None = None,
         up: ArrayLike | None = None,
+        uncertainty: str | None = None,
     ) -> Steps[Lift]:
         """Lift frames with a fitted model.
 
@@ -92,6 +93,10 @@ class Api(Resource[Driver]):
         up
             The direction of up in the room, which becomes y: ``auto`` or a vector (3,) in the room
             without `up`. Feet, if keypoints are named so, are then on the floor, y = 0.
+        uncertainty
+            How far points may be off: ``sd``, the default, gives ``points3d_sd``; ``full``
+            covariances and modes, too, by which :meth:`~fewview.Lift.lengths`, ``angles`` and
+            ``ratios`` have deviations; ``off`` nothing.
 
         Raises
         ------
@@ -112,6 +117,7 @@ class Api(Resource[Driver]):
                 views=views,
                 frame=frame,
                 up=up,
+                uncertainty=uncertainty,
             )
         )
 

@@ -10,6 +10,9 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Array = NDArray[Any]
 
+# A symmetric matrix (3, 3) as six numbers xx, xy, xz, yy, yz, zz, and back.
+UPPER = np.triu_indices(3)
+FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 AGREE = np.cos(np.radians(2))  # poses of two views of a frame that contradict each other
 
 
@@ -138,7 +141,7 @@ def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) 
     deep = size[..., None] * shifts - moved
     in_room = {
         "points3d": places.of(lift["points3d"]),
-        **({"points3d_sd": size * lift["points3d_sd"]} if "points3d_sd" in lift else {}),
+        **_uncertainty_of(lift, size, places.turns),
         "rotations": np.where(somewhere[:, None, None, None], turned, np.nan),
         "scales": scales,
         "translations": np.where((models == 0)[..., None], weak, deep),
@@ -148,6 +151,23 @@ def in_room(lift: Mapping[str, Array], rig_turns: Float64, rig_shifts: Float64) 
         **{name: array.astype(lift[name].dtype) for name, array in in_room.items()},
         "camera_models": np.where(somewhere[:, None], models, -1).astype(models.dtype),
     }
+
+
+def _uncertainty_of(lift: Mapping[str, Array], sizes: Float64, turns: Float64) -> dict[str, Array]:
+    """Return how far points may be off by places of scales (N, 1) and turns Q, if it is known.
+
+    Deviations are scaled; modes are `s Q U`, and covariances `s^2 Q C Q^T`.
+    """
+    found = {}
+    if "points3d_sd" in lift:
+        found["points3d_sd"] = sizes * lift["points3d_sd"]
+    if "points3d_modes" in lift:
+        turned = np.einsum("nij,npjc->npic", turns, lift["points3d_modes"])
+        found["points3d_modes"] = sizes[..., None, None] * turned
+    if "points3d_covariance" in lift:
+        blocks = turns[:, None] @ lift["points3d_covariance"][..., FULL] @ turns[:, None].mT
+        found["points3d_covariance"] = sizes[..., None] ** 2 * blocks[..., *UPPER]
+    return found
 
 
 def _turned_back(turns: Float64, vectors: Float64) -> Float64:

@@ -40,11 +40,12 @@ from models.numerics.tensor_files import (
     without_prefix,
 )
 from models.posterior.posterior import POSTERIOR_KIND, Posterior
-from models.settings.config import FitConfig, Refine, Uncertainty
+from models.settings.config import FitConfig, Refine
 from models.settings.keypoints import (
     MAX_KEYPOINTS,
     MIN_KEYPOINTS,
 )
+from models.settings.uncertainty import Uncertainty
 
 MOST_REFINERS = 64  # choices of views whose refiners are kept at once
 

@@ -9,6 +9,7 @@ import orjson
 from numpy.typing import NDArray
 
 from models.lifting.lift import CAMERA_MODELS, FINDING_BITS, REASONS
+from models.settings.uncertainty import MODES, SYMMETRIC
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -25,7 +26,7 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     arrays
         Those of `LiftedFrames.arrays`; NaN, and -1 in ``camera_models``, where there is no answer.
         Lifts of older versions have no ``keypoints_seen``, ``outlier_probability``,
-        ``points3d_sd`` and ``findings``.
+        ``points3d_sd`` and ``findings``. Objects have covariances and modes only if these are here.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
@@ -41,18 +42,19 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
         (_ANSWERED if fine else _NOT_IN_ROOM if b"not_in_room" in found else _UNANSWERED)
         % {
             b"points": text,
-            b"sd": sd,
+            b"sd": sd + full,
             b"seen": seen,
             b"odd": odd,
             b"findings": found,
             b"views": shown,
         }
-        for fine, text, sd, seen, odd, found, shown in zip(
+        for fine, text, sd, full, seen, odd, found, shown in zip(
             answered.tolist(),
             texts,
-            _deviations(arrays),
+            _known(arrays, "points3d_sd"),
+            _covariances(arrays),
             _seen(arrays),
-            _outlying(arrays),
+            _known(arrays, "outlier_probability"),
             _findings(arrays),
             map(b",".join, views.tolist()),
             strict=True,
@@ -67,24 +69,32 @@ def _seen(arrays: Arrays) -> Iterable[bytes]:
     return [b"[%b]" % text for text in _texts(arrays["keypoints_seen"])]
 
 
-def _deviations(arrays: Arrays) -> Iterable[bytes]:
-    """Return the JSON of how far points may be off; null for frames of which it is not known."""
-    found = arrays.get("points3d_sd")
+def _known(arrays: Arrays, name: str, nothing: bytes = b"null") -> Iterable[bytes]:
+    """Return the JSON of an array for every frame; null for frames of which it knows nothing.
+
+    `nothing` is what is written of a point of which it knows nothing, and becomes null.
+    """
+    found = arrays.get(name)
     if found is None or np.isnan(found).all():
         return repeat(b"null", len(arrays["points3d"]))
-    known: list[bool] = np.any(np.isfinite(found), axis=1).tolist()
-    texts = zip(known, _texts(found), strict=True)
-    return [b"[%b]" % text if there else b"null" for there, text in texts]
+    rows: list[bool] = np.any(np.isfinite(found), axis=tuple(range(1, found.ndim))).tolist()
+    left, right = b"[" * (found.ndim - 1), b"]" * (found.ndim - 1)
+    texts = [left + text + right for text in _texts(found)]
+    if nothing != b"null":
+        texts = [text.replace(nothing, b"null") for text in texts]
+    return [text if known else b"null" for known, text in zip(rows, texts, strict=True)]
 
 
-def _outlying(arrays: Arrays) -> Iterable[bytes]:
-    """Return the JSON of the outlier probabilities; null for frames not judged."""
-    found = arrays.get("outlier_probability")
-    if found is None or np.isnan(found).all():
-        return repeat(b"null", len(arrays["points3d"]))
-    judged: list[bool] = np.any(np.isfinite(found), axis=(1, 2)).tolist()
-    texts = zip(judged, _texts(found), strict=True)
-    return [b"[[%b]]" % text if known else b"null" for known, text in texts]
+def _covariances(arrays: Arrays) -> Iterable[bytes]:
+    """Return the members of every frame for covariances and modes, where the lift has these."""
+    asked = [name for name in _OF_NO_POINT if name in arrays]
+    if not asked:
+        return repeat(b"", len(arrays["points3d"]))
+    members = [
+        [b',"%b":%b' % (name.encode(), text) for text in _known(arrays, name, _OF_NO_POINT[name])]
+        for name in asked
+    ]
+    return map(b"".join, zip(*members, strict=True))
 
 
 def _findings(arrays: Arrays) -> Iterable[bytes]:
@@ -131,6 +141,10 @@ _LENSED = (
     b'"focal":[%b],"principal_point":[%b],"distortion":[%b]}'
 )
 _NO_POINT = b"[null,null,null]"
+_OF_NO_POINT = {
+    "points3d_covariance": orjson.dumps([None] * SYMMETRIC),
+    "points3d_modes": orjson.dumps([[None] * MODES] * 3),
+}
 _CODES = [  # for every sum of bits
     orjson.dumps([code for bit, code in FINDING_BITS.items() if total & bit])
     for total in range(2 * max(FINDING_BITS))
@@ -140,7 +154,7 @@ _ANSWERED = (
     b'"outlier_probability":%(odd)b,"views":[%(views)b],"findings":%(findings)b}'
 )
 _UNANSWERED, _NOT_IN_ROOM = (
-    b'{"status":%b,"reason":%b,"points3d":null,"points3d_sd":null,"keypoints_seen":%%(seen)b,'
+    b'{"status":%b,"reason":%b,"points3d":null,"points3d_sd":%%(sd)b,"keypoints_seen":%%(seen)b,'
     b'"outlier_probability":%%(odd)b,"views":[%%(views)b],"findings":%%(findings)b}'
     % (orjson.dumps(status), orjson.dumps(REASONS[status]))
     for status in ("too_few_keypoints", "not_in_room")

@@ -17,6 +17,7 @@ from models.network.answers import (
 )
 from models.optics.lenses.projection import LENSES
 from models.settings.keypoints import MIN_KEYPOINTS
+from models.settings.uncertainty import ARRAYS
 
 # `camera_models` are indices into this: weak perspective, then the lenses in their order.
 CAMERA_MODELS = ("weak_perspective", *(lens.LIFTED_AS for lens in LENSES))
@@ -36,8 +37,7 @@ FINDING_BITS: dict[int, LiftCode] = {
     NOT_IN_ROOM: "not_in_room",
 }
 # The arrays (N, P, ...) of points, NaN where there is no point.
-_OF_POINTS = ("points3d", "points3d_sd", "points3d_covariance", "points3d_modes")
-_IF_ASKED = frozenset({"points3d_covariance", "points3d_modes"})
+_OF_POINTS = ("points3d", *ARRAYS["full"])
 _INTERNAL = frozenset({"continued", "sizes", "misfits", "rig_residuals"})
 
 
@@ -68,7 +68,7 @@ class LiftedFrames(Answers):
         return {
             name: value
             for name, value in arrays.items()
-            if name not in _IF_ASKED or value.shape[-1]
+            if name not in ARRAYS["full"] or value.shape[-1]
         }
 
     def of_keypoints(self, chosen: NDArray[np.bool_]) -> "LiftedFrames":

@@ -57,9 +57,6 @@ class Answers(NamedTuple):
 RIG_NOT_USED, UNLIKE_FIT, OTHER_SCALE, NOT_IN_ROOM = 1, 2, 4, 8
 
 
-MODES = 12  # of `Answers.points3d_modes`, if there are any
-
-
 class Usual(NamedTuple):
     """The range of the frames of a fit; a frame outside is unlike them."""
 

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from models.bundle.problem import VIEW, Rig
 from models.capture.observations import Observations
-from models.network.answers import MODES, Answers
+from models.network.answers import Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 from models.posterior.deviations import Noise, Uncertainty, write_deviations
 from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
+from models.settings.uncertainty import MODES, SYMMETRIC
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -20,7 +21,6 @@ Float64 = NDArray[np.float64]
 
 POSTERIOR_KIND = "corrected"  # in files
 MOST_COMPONENTS, MOST_FACTORS = 64, 64  # that a file may hold
-SYMMETRIC = 6  # numbers of a symmetric matrix (3, 3)
 
 
 class Posterior(NamedTuple):

@@ -31,8 +31,6 @@ from models.settings.priors import (
 )
 
 Refine = TypeAliasType("Refine", Literal["auto", "off", "full"])
-# How far points may be off: unknown, by `points3d_sd`, or with covariances and modes besides.
-Uncertainty = TypeAliasType("Uncertainty", Literal["off", "sd", "full"])
 Arrangement = TypeAliasType("Arrangement", Literal["auto", "moving", "static"])
 Synchronise = TypeAliasType("Synchronise", Literal["auto", "off"])
 Index = Annotated[int, Field(ge=0)]

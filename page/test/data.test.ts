@@ -115,7 +115,8 @@ test("messages of a stream are those of the service", { skip }, () => {
   const { sequence, lifted } = readAnswer(bytes("answer.bin"), expected.points3d.length / 3);
   assert.equal(sequence, 70_000);
   assert.ok(lifted !== null);
-  const { points, cameras, outliers, errors, bits, views } = lifted;
+  const { points, cameras, outliers, errors, bits, views, deviations } = lifted;
+  assert.deepEqual(nulls(deviations as Float32Array), expected.points3d_sd);
   assert.deepEqual([...(bits as number[])], [9]);
   assert.deepEqual(nulls(points), expected.points3d);
   assert.deepEqual(nulls(outliers as Float32Array), expected.outlier_probability);
@@ -129,6 +130,8 @@ test("messages of a stream are those of the service", { skip }, () => {
   const watched = bytes("watched.bin");
   assert.equal(viewsIn(watched), views);
   assert.deepEqual(readWatched(watched, expected.points3d.length / 3), { pixels, lifted });
+  const without = readAnswer(bytes("answer-off.bin"), expected.points3d.length / 3).lifted;
+  assert.deepEqual(without, { ...lifted, deviations: undefined });
   assert.deepEqual(new Uint8Array(frameMessage(3, views, pixels)), new Uint8Array(bytes("frame.bin")));
 });
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import ObservedFrames
 from models.settings.config import Refine
+from models.settings.uncertainty import Uncertainty
 from service.http.fair_queue import FairQueue
 from service.realtime.warm_models import WarmModel
 
@@ -33,6 +34,7 @@ class Way(NamedTuple):
     shape: tuple[int, ...]  # (K, P, 2) of a frame
     weighted: bool  # whether there is a confidence
     follows: bool  # whether there are answers to frames before
+    uncertainty: Uncertainty
     observed: bool = False  # whether the frames were observed, and need only be lifted
 
 

@@ -17,7 +17,14 @@ from service.realtime.engine import Engine
 from service.realtime.open_streams import OpenStream
 from service.realtime.smoothed_frames import SmoothedFrames
 from service.realtime.sockets import error_text, receive
-from service.realtime.stream_frames import FilmClock, Frame, read_frame, seen_bytes, write_answer
+from service.realtime.stream_frames import (
+    FilmClock,
+    Frame,
+    read_frame,
+    seen_bytes,
+    uncertainty_bytes,
+    write_answer,
+)
 from service.realtime.warm_models import WarmModel
 from service.settings import Settings
 from service.wire.stream_messages import StreamLimits, StreamReady, StreamStart
@@ -60,6 +67,7 @@ class Conversation:
                 following,
                 self._refine,
                 continuity=self._continuity,
+                uncertainty=start.uncertainty,
                 key_id=self._key_id,
             )
         one = self._latest or self._continuity or following is not None
@@ -87,9 +95,13 @@ class Conversation:
             continuity=self._continuity,
             frame=self._start.frame,
             up=self._start.up,
+            uncertainty=self._start.uncertainty,
             lag=self._start.lag,
             fps=self._start.fps,
             seen_bytes=seen_bytes(self._prior.keypoints_per_frame),
+            uncertainty_bytes=uncertainty_bytes(
+                self._prior.keypoints_per_frame, self._start.uncertainty
+            ),
             limits=StreamLimits(
                 message_bytes=self._settings.max_stream_bytes,
                 frames_in_hand=FRAMES_IN_HAND,
@@ -173,6 +185,7 @@ class Conversation:
             refine=self._refine,
             views=self._start.views,
             previous=before,
+            uncertainty=self._start.uncertainty,
             key_id=self._key_id,
         )
 
@@ -202,7 +215,7 @@ class Conversation:
         if self._room is not None:
             lift = self._room.place(lift, self._start.views)
         self.shown.note(frame, lift)
-        return write_answer(frame, lift, self._prior)
+        return write_answer(frame, lift, self._prior, self._start.uncertainty)
 
     async def _send(self, frame: Frame, message: str | bytes) -> None:
         if frame.dropped:

@@ -20,6 +20,7 @@ from models.lifting.lift import LiftedFrames, join
 from models.lifting.observing import ObservedFrames, join_observed
 from models.numerics.threads import use_threads
 from models.settings.config import Refine
+from models.settings.uncertainty import Uncertainty
 from service.realtime.calls import Call, Float32, Piece, WaitingCalls, Way
 from service.realtime.warm_models import WarmModel, WarmModels
 from store.authors import OWNER
@@ -91,6 +92,7 @@ class Engine:
         refine: Refine | None = None,
         views: Sequence[int] | None = None,
         previous: LiftedFrames | None = None,
+        uncertainty: Uncertainty = "sd",
         key_id: str = OWNER,
     ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames (N, K, P, 2) as ``FittedPrior.lift`` does, together with those of others.
@@ -110,6 +112,7 @@ class Engine:
             keypoints.shape[1:],
             confidence is not None,
             previous is not None,
+            uncertainty,
         )
         return self._ask(way, key_id, keypoints, confidence, None, previous)
 
@@ -120,6 +123,7 @@ class Engine:
         *,
         refine: Refine | None = None,
         previous: LiftedFrames | None = None,
+        uncertainty: Uncertainty = "sd",
         key_id: str = OWNER,
     ) -> "asyncio.Future[LiftedFrames]":
         """Lift frames that ``model`` observed as ``FittedPrior.lift_observed`` does; see `lift`."""
@@ -131,6 +135,7 @@ class Engine:
             keypoints.shape[1:],
             judged is not None,
             previous is not None,
+            uncertainty,
             observed=True,
         )
         return self._ask(way, key_id, keypoints, None, observed, previous)
@@ -250,7 +255,10 @@ def _lift_together(pieces: list[Piece]) -> list[_Outcome]:
         c.previous.frames(slice(start, stop)) for c, start, stop in pieces if c.previous is not None
     ]
     lift = way.model.prior.lift_observed(
-        _observe(pieces), refine=way.refine, previous=join(previous) if previous else None
+        _observe(pieces),
+        refine=way.refine,
+        previous=join(previous) if previous else None,
+        uncertainty=way.uncertainty,
     )
     stops = accumulate(stop - start for _, start, stop in pieces)
     return [

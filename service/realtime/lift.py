@@ -19,6 +19,7 @@ from models.lifting.observing import ObservedFrames
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.uncertainty import Uncertainty, numbers_of, of_uncertainty
 from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.keyring import caller_of
 from service.http.negotiation import NPZ, OCTETS
@@ -48,6 +49,7 @@ from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import (
     LIFTED_FRAME,
     REFINE,
+    UNCERTAINTY,
     VIEWS,
     LiftedFrame,
 )
@@ -55,9 +57,9 @@ from store.capture import Capture
 from worker.rooms import Room
 
 TINY_BYTES = 32 * 1024  # worked on in less time than it takes to switch threads, or not much more
-# What an answer has: bytes of arrays for each keypoint, each view and each keypoint of a view, and
-# JSON for each of these.
-KEYPOINT_BYTES, VIEW_BYTES, SEEN_BYTES, JSON_BYTES = 13, 112, 4, 6
+# What an answer has: bytes of arrays for each keypoint without its uncertainty, each view, each
+# keypoint of a view and each number of uncertainty, and JSON for each of these.
+KEYPOINT_BYTES, VIEW_BYTES, SEEN_BYTES, UNCERTAINTY_BYTES, JSON_BYTES = 13, 112, 4, 4, 6
 PATIENCE_SECONDS = 0.1  # before it is looked whether a client still waits
 
 Result = TypeVar("Result")
@@ -86,6 +88,9 @@ ModelQuery = Annotated[
     Query(max_length=200, description="The model, or an alias, for frames that come as bytes."),
 ]
 RefineQuery = Annotated[Refine | None, Query(description=REFINE)]
+UncertaintyQuery = Annotated[
+    Uncertainty | None, Query(description=f"{UNCERTAINTY} The default is `sd`.")
+]
 ViewsQuery = Annotated[
     list[Index] | None,
     Query(max_length=MAX_VIEWS, description=f"{VIEWS} Repeat it: `views=0&views=2`."),
@@ -97,6 +102,7 @@ class _Asked(NamedTuple):
     capture: Capture
     refine: Refine | None
     views: list[int] | None
+    uncertainty: Uncertainty
     room: Room | None
 
 
@@ -108,6 +114,7 @@ class _Query(NamedTuple):
     views: list[int] | None
     frame: FrameOfReference | None
     up: str | None
+    uncertainty: Uncertainty | None
     format: Format
 
 
@@ -157,14 +164,15 @@ def _understand(
         times=asked.times,
         max_bytes=upload.max_array_bytes,
     )
-    _check_answer(capture, query.format, settings)
+    uncertainty = asked.uncertainty or query.uncertainty or "sd"
+    _check_answer(capture, uncertainty, query.format, settings)
     room = None
     if in_room:
         room = room_of(model, up)
         if room is None:
             return None
         check_known(room, views, capture.keypoints.shape[1])
-    return _Asked(model, capture, asked.refine or query.refine, views, room)
+    return _Asked(model, capture, asked.refine or query.refine, views, uncertainty, room)
 
 
 def _observe(asked: _Asked) -> ObservedFrames:
@@ -175,12 +183,18 @@ def _observe(asked: _Asked) -> ObservedFrames:
     return prior.observe(keypoints, confidence=confidence, views=asked.views, times=times)
 
 
-def _check_answer(capture: Capture, format: Format, settings: Settings) -> None:
+def answer_bytes(frames: int, views: int, keypoints: int, uncertainty: Uncertainty) -> int:
+    """Return how many bytes the arrays of an answer take."""
+    of_keypoint = KEYPOINT_BYTES + SEEN_BYTES * views + UNCERTAINTY_BYTES * numbers_of(uncertainty)
+    return frames * (of_keypoint * keypoints + VIEW_BYTES * views)
+
+
+def _check_answer(
+    capture: Capture, uncertainty: Uncertainty, format: Format, settings: Settings
+) -> None:
     """Refuse frames whose answer would be longer than a body may be."""
     frames, views, keypoints, _ = capture.keypoints.shape
-    answer = frames * (
-        KEYPOINT_BYTES * keypoints + VIEW_BYTES * views + SEEN_BYTES * views * keypoints
-    )
+    answer = answer_bytes(frames, views, keypoints, uncertainty)
     if format == "json":
         answer *= JSON_BYTES
     if answer > settings.max_body_bytes:
@@ -234,12 +248,13 @@ async def lift(
     views: ViewsQuery = None,
     frame: FrameQuery = None,
     up: UpQuery = None,
+    uncertainty: UncertaintyQuery = None,
     format: FormatQuery = None,
 ) -> Response:
     """Lift frames to 3D with a fitted model.
 
-    The query completes the body: `model` for bytes, and `refine`, `views`, `frame` and `up` for
-    either.
+    The query completes the body: `model` for bytes, and `refine`, `views`, `frame`, `up` and
+    `uncertainty` for either.
 
     Frames may have any number of the views, in any order; keypoints and views may be missing. Every
     frame is lifted on its own, unless `times` are given: the frames are then one film, smoothed in
@@ -251,7 +266,7 @@ async def lift(
     rooms: Rooms = request.app.state.rooms
     format = chosen_format(request, format)
     upload = await read_body(request)
-    query = _Query(model, refine, views, frame, up, format)
+    query = _Query(model, refine, views, frame, up, uncertainty, format)
     caller, rates = caller_of(request), cast(Rates, request.app.state.rates)
     project = caller.author.project
     understand = partial(_understand, upload, query, request.app.state.settings)
@@ -276,13 +291,18 @@ async def lift(
             confidence=asked.capture.confidence,
             refine=asked.refine,
             views=asked.views,
+            uncertainty=asked.uncertainty,
             key_id=caller.author.key_id,
         )
     else:
         size = max(upload.decoded_bytes, TINY_BYTES + 1)  # smoothing takes longer than that
         observed = await _run(request, size, _observe, asked)
         answer = engine.lift_observed(
-            asked.model, observed, refine=asked.refine, key_id=caller.author.key_id
+            asked.model,
+            observed,
+            refine=asked.refine,
+            uncertainty=asked.uncertainty,
+            key_id=caller.author.key_id,
         )
     lifted = await _unless_gone(request, answer)
     if lifted is None:
@@ -297,14 +317,15 @@ def _answer(
 ) -> Response:
     if asked.room is not None:
         lifted = asked.room.place(lifted, asked.views)
+    arrays = of_uncertainty(lifted.arrays, asked.uncertainty)
     about: dict[str, str | None] = {"model": asked.model.id}
     findings = lift_findings(lifted, asked.model.prior)
     if in_parts:  # as a whole it would take many times what was asked
-        pieces = json_pieces(parts_of(lifted.arrays), about, findings)
+        pieces = json_pieces(parts_of(arrays), about, findings)
         return StreamingResponse(
             _made_in_thread(request, pieces), headers={"Vary": "Accept"}, media_type=JSON
         )
-    return arrays_response(request, lifted.arrays, about, findings, format=format, filename="lift")
+    return arrays_response(request, arrays, about, findings, format=format, filename="lift")
 
 
 async def _made_in_thread(request: Request, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:

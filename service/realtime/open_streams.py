@@ -51,7 +51,7 @@ class OpenStream:
     def __init__(self, ready: StreamReady, author: Author) -> None:
         """Begin, with what was understood of the stream and who opened it."""
         self.id, self.project = new_id("stream"), author.project
-        self.watched = False
+        self.watched, self._uncertainty = False, ready.uncertainty
         self.answered = self.dropped = self.refused = self.not_lifted = 0
         self._latencies: deque[float] = deque(maxlen=LATENCIES)  # seconds
         self._newest: tuple[Frame, LiftedFrames] | None = None
@@ -89,7 +89,7 @@ class OpenStream:
         if self._newest is None:
             return None
         (frame, lift), self._newest = self._newest, None
-        return write_watched(frame, lift)
+        return write_watched(frame, lift, self._uncertainty)
 
 
 def _milliseconds(seconds: list[float], share: float) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following, ObservedFrames
 from models.settings.config import Refine
+from models.settings.uncertainty import Uncertainty
 from service.realtime.engine import Engine
 from service.realtime.stream_frames import Frame
 from service.realtime.warm_models import WarmModel
@@ -24,12 +25,13 @@ class SmoothedFrames:
         refine: Refine,
         *,
         continuity: bool,
+        uncertainty: Uncertainty,
         key_id: str,
     ) -> None:
         """Smooth in threads, in which `run` does work, and lift with the engine."""
         self._engine, self._run, self._model = engine, run, model
         self._following, self._refine, self._continuity = following, refine, continuity
-        self._key_id = key_id
+        self._uncertainty, self._key_id = uncertainty, key_id
         self._waiting: deque[Frame] = deque()
         self._previous: LiftedFrames | None = None
 
@@ -52,6 +54,7 @@ class SmoothedFrames:
                 observed.frames(slice(len(answered), len(answered) + 1)),
                 refine=self._refine,
                 previous=self._previous if self._continuity else None,
+                uncertainty=self._uncertainty,
                 key_id=self._key_id,
             )
             self._previous = lift

@@ -14,6 +14,7 @@ from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import LiftedFrames
 from models.lifting.lift_findings import lift_findings
 from models.settings.times import MAX_TIME
+from models.settings.uncertainty import ARRAYS, Uncertainty, numbers_of, of_uncertainty
 from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
 from service.realtime.frames import to_frames
@@ -41,6 +42,7 @@ from store.capture import Capture
 from worker.rooms import Room
 
 Float32 = NDArray[np.float32]
+FLOAT = 4  # bytes
 _NOT_OBSERVED = "JSON knows no NaN: write null for what was not observed."
 
 
@@ -237,11 +239,18 @@ def seen_bytes(keypoints: int) -> int:
     return -(-keypoints // ALIGNED) * ALIGNED
 
 
-def write_answer(frame: Frame, lift: LiftedFrames, prior: FittedPrior) -> str | bytes:
+def uncertainty_bytes(keypoints: int, uncertainty: Uncertainty) -> int:
+    """Return how many bytes an answer has of how far points may be off."""
+    return FLOAT * keypoints * numbers_of(uncertainty)
+
+
+def write_answer(
+    frame: Frame, lift: LiftedFrames, prior: FittedPrior, uncertainty: Uncertainty
+) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     if frame.binary:
-        return _as_bytes(ANSWER, frame, lift)
-    (text,) = frames_to_json(lift.arrays)
+        return _as_bytes(ANSWER, frame, lift, uncertainty)
+    (text,) = frames_to_json(of_uncertainty(lift.arrays, uncertainty))
     answer = {
         "type": "answer",
         "sequence": frame.sequence,
@@ -252,22 +261,24 @@ def write_answer(frame: Frame, lift: LiftedFrames, prior: FittedPrior) -> str | 
     return orjson.dumps(answer).decode()
 
 
-def write_watched(frame: Frame, lift: LiftedFrames) -> bytes:
+def write_watched(frame: Frame, lift: LiftedFrames, uncertainty: Uncertainty) -> bytes:
     """Return the answer to a frame and its keypoints, for who watches the stream."""
     assert frame.capture is not None  # noqa: S101
     keypoints = frame.capture.keypoints.astype("<f4", copy=False)
-    return _as_bytes(WATCHED, frame, lift) + keypoints.tobytes()
+    shown: Uncertainty = "off" if uncertainty == "off" else "sd"
+    return _as_bytes(WATCHED, frame, lift, shown) + keypoints.tobytes()
 
 
-def _as_bytes(kind: int, frame: Frame, lift: LiftedFrames) -> bytes:
+def _as_bytes(kind: int, frame: Frame, lift: LiftedFrames, uncertainty: Uncertainty) -> bytes:
     views = np.empty(lift.scales.shape[1], VIEW)
     for name in VIEW.names or ():
         views[name] = getattr(lift, name)[0]
     flags = LIFTED * (lift.status[0] == "ok") | CONTINUED * bool(lift.continued[0])
     flags |= int(lift.findings[0]) << FINDINGS
     header = HEADER.pack(kind, flags, len(views), frame.sequence)
-    points, outlying = (
-        numbers.astype("<f4", copy=False) for numbers in (lift.points3d, lift.outlier_probability)
+    points, *others = (
+        getattr(lift, name).astype("<f4", copy=False).tobytes()
+        for name in ("points3d", "outlier_probability", *ARRAYS[uncertainty])
     )
     seen = lift.keypoints_seen.tobytes().ljust(seen_bytes(lift.keypoints_seen.shape[1]), b"\0")
-    return b"".join((header, points.tobytes(), views.tobytes(), seen, outlying.tobytes()))
+    return b"".join((header, points, views.tobytes(), seen, *others))

@@ -86,7 +86,7 @@ def download_animation(
             f"{len(wanted)} x {model.keypoints}: ask for a part, such as "
             f"frames=0:{MOST_POINTS // model.keypoints}",
         )
-    found = stored_arrays(fit, store) if frames is None else stored_frames(store, fit, None, frames)
+    found = stored_arrays(fit, store) if frames is None else stored_frames(store, fit, frames)
     direction = read_up(up)
     if is_room(frame, direction):
         warm = engine.models.read(store.project, model.id)

@@ -12,6 +12,7 @@ from redis import Redis
 
 from models.settings.config import Refine
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.uncertainty import Uncertainty
 from service.http.dependencies import (
     IdempotencyHeader,
     RedisDep,
@@ -41,6 +42,7 @@ from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.requests import LiftCreate
 from service.wire.rooms import FRAME_OF_REFERENCE, UP, is_room
+from service.wire.schemas import UNCERTAINTY
 from store import lifts, lookup, records
 from store.database import Store
 from store.errors import ConflictError
@@ -96,6 +98,7 @@ class LiftJob(BaseModel):
                 "views": None,
                 "frame": "canonical",
                 "up": None,
+                "uncertainty": "sd",
                 "tags": ["pilot"],
                 "metadata": {"subject": "M7"},
                 "job_id": "lift_01m7ysr6k3w9m0x2c4a8h5e7dq",
@@ -127,6 +130,7 @@ class LiftJob(BaseModel):
     views: list[int] | None
     frame: FrameOfReference = Field(description=FRAME_OF_REFERENCE)
     up: Up | None = Field(description=UP)
+    uncertainty: Uncertainty = Field(description=UNCERTAINTY)
     tags: list[str]
     metadata: dict[str, Any]
     job_id: str = Field(description="The job that asked for this lift on the queue.")
@@ -145,6 +149,7 @@ class LiftJob(BaseModel):
         shared = {name: getattr(record, name) for name in plain}
         shared["findings"] = record.findings or []
         shared["frame"] = record.frame or "canonical"  # of older versions
+        shared["uncertainty"] = record.uncertainty or "sd"
         progress = {name: getattr(record, name) for name in LiftProgress.model_fields}
         corrected = CorrectionsState.of(record)
         return cls.model_validate(

@@ -12,13 +12,14 @@ from starlette.responses import Response
 
 from models.capture.clocks import in_step
 from models.settings.config import Refine
+from models.settings.uncertainty import Uncertainty, of_uncertainty
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.downloads import ranged_response, streamed_response
 from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import file_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
-from service.realtime.lift import RefineQuery
+from service.realtime.lift import RefineQuery, UncertaintyQuery, answer_bytes
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
 from service.wire.findings import FindingForm, Findings
@@ -81,6 +82,7 @@ async def take_turn(
     refine: RefineQuery = None,
     frame: FrameQuery = None,
     up: UpQuery = None,
+    uncertainty: UncertaintyQuery = None,
     format: FormatQuery = None,
     frames: FramesQuery = None,
 ) -> AsyncIterator[None]:
@@ -88,7 +90,8 @@ async def take_turn(
     few = frames is not None and len(frames_of(fit, frames)) <= FEW_FRAMES
     whole = frame == "room" or (frames is not None and not few)
     in_parts = not whole or few or chosen_format(request, format) == "json"
-    if in_parts and up is None and _is_stored(fit, refine):  # `up` may read all frames
+    stored = _is_stored(fit, refine, uncertainty)
+    if in_parts and up is None and stored:  # `up` may read all frames
         yield
     else:
         async with request.app.state.large_uploads.turn(request):
@@ -112,6 +115,7 @@ def get_reconstruction(
     refine: RefineQuery = None,
     frame: FrameQuery = None,
     up: UpQuery = None,
+    uncertainty: UncertaintyQuery = None,
     format: FormatQuery = None,
     frames: FramesQuery = None,
 ) -> Response:
@@ -137,7 +141,10 @@ def get_reconstruction(
     differs from frame to frame. In the room there is one unit.
 
     With the fit's own `refine`, or without, the stored reconstruction is returned. With another
-    `refine` the frames are lifted for this request, by the fit's model, which takes longer.
+    `refine`, and with `uncertainty=full`, the frames are lifted for this request, by the fit's
+    model, which takes longer. `full` adds `points3d_covariance` (N, P, 6), the covariance C of each
+    point as xx, xy, xz, yy, yz, zz, and `points3d_modes` (N, P, 3, 12), U, how points are off
+    together: the covariance of all coordinates of a structure is blockdiag(C - U U^T) + U U^T.
     """
     about = {
         "fit_id": fit.id,
@@ -148,13 +155,14 @@ def get_reconstruction(
     filename = f"{fit.id}-reconstruction"
     direction = read_up(up)
     in_room = is_room(frame, direction)
-    chosen = chosen_format(request, format)
+    chosen, wanted = chosen_format(request, format), uncertainty or "sd"
     room = (
         rooms.find(engine.models.read(store.project, model_of(fit)), direction) if in_room else None
     )
     if frames is not None:
-        found = stored_frames(store, fit, refine, frames)
-    elif _is_stored(fit, refine):
+        _check_is_stored(fit, refine, uncertainty)
+        found = of_uncertainty(stored_frames(store, fit, frames), wanted)
+    elif _is_stored(fit, refine, uncertainty):
         if chosen == "json":
             identity = (
                 request.app.version,
@@ -163,8 +171,12 @@ def get_reconstruction(
                 findings,
                 frame,
                 direction,
+                wanted,
             )
-            parts: Iterator[Arrays] = map(_completed, reconstruction_parts(store, fit))
+            parts: Iterator[Arrays] = (
+                of_uncertainty(_completed(part), wanted)
+                for part in reconstruction_parts(store, fit)
+            )
             if room is not None:
                 parts = map(room.place_arrays, parts)
             return streamed_response(
@@ -174,7 +186,10 @@ def get_reconstruction(
                 checksum=hashlib.sha256(repr(identity).encode()).hexdigest(),
             )
         metadata = metadata_of(about, findings)
-        if room is None and (file := reconstruction_file(store, fit, chosen, metadata)) is not None:
+        file = None
+        if room is None:
+            file = reconstruction_file(store, fit, chosen, metadata, wanted)
+        if file is not None:
             return ranged_response(
                 request,
                 file.size,
@@ -183,10 +198,9 @@ def get_reconstruction(
                 filename=f"{filename}.{chosen}",
                 checksum=file.checksum(),
             )
-        found = stored_arrays(fit, store)
+        found = of_uncertainty(stored_arrays(fit, store), wanted)
     else:
-        assert refine is not None  # noqa: S101
-        found = _lift_again(fit, refine, store, engine, settings)
+        found = _lift_again(fit, refine, wanted, store, engine, settings)
     if room is not None:
         found = room.place_arrays(found)
     return arrays_response(request, found, about, findings, format=chosen, filename=filename)
@@ -197,28 +211,41 @@ def frames_of(fit: records.FitRecord, frames: str) -> range:
     return range(fit.frames)[slice(*(int(part) if part else None for part in frames.split(":")))]
 
 
-def stored_frames(
-    store: StoreDep, fit: records.FitRecord, refine: Refine | None, frames: str
-) -> Arrays:
+def stored_frames(store: StoreDep, fit: records.FitRecord, frames: str) -> Arrays:
     """Return some frames of what a fit stored.
 
     Raises
     ------
     ApiError
-        422 if it has none of them, or they are wanted otherwise than they are stored.
+        422 if it has none of them.
     """
     wanted = frames_of(fit, frames)
     if not wanted:
         raise invalid("/frames", f"expected some of the fit's {fit.frames} frames, got {frames!r}")
-    if not _is_stored(fit, refine):
-        raise invalid("/refine", "expected none beside frames: they are of what the fit stored")
     parts = [_completed(part) for part in reconstruction_parts(store, fit, wanted)]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _is_stored(fit: records.FitRecord, refine: Refine | None) -> bool:
-    """Return whether a fit stored its frames with this refinement."""
-    return refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
+def _check_is_stored(
+    fit: records.FitRecord, refine: Refine | None, uncertainty: Uncertainty | None
+) -> None:
+    """Raise ``ApiError`` if some frames are wanted otherwise than a fit stored them."""
+    if not _is_stored(fit, refine, None):
+        raise invalid("/refine", "expected none beside frames: they are of what the fit stored")
+    if uncertainty == "full":
+        raise invalid(
+            "/uncertainty",
+            "expected sd or off beside frames: they are of what the fit stored, which is without "
+            "covariances. Leave frames out, or lift these frames with POST /lift",
+        )
+
+
+def _is_stored(
+    fit: records.FitRecord, refine: Refine | None, uncertainty: Uncertainty | None
+) -> bool:
+    """Return whether a fit stored its frames with this refinement, and with as much as is asked."""
+    known = uncertainty != "full"
+    return known and refine in (None, fit.config.get("refine", "off"))  # older fits refined nothing
 
 
 def stored_arrays(fit: records.FitRecord, store: StoreDep) -> Arrays:
@@ -244,12 +271,13 @@ def _completed(arrays: Arrays) -> Arrays:
 
 def _lift_again(
     fit: records.FitRecord,
-    refine: Refine,
+    refine: Refine | None,
+    uncertainty: Uncertainty,
     store: StoreDep,
     engine: EngineDep,
     settings: SettingsDep,
 ) -> Arrays:
-    """Lift the frames of a fit with its model, with another refinement than the fit's.
+    """Lift the frames of a fit with its model, otherwise than the fit stored them.
 
     Raises
     ------
@@ -258,22 +286,45 @@ def _lift_again(
     NotFoundError
         If its dataset was deleted.
     ApiError
-        422 if there are more frames than in one lift.
+        422 if there are more frames than in one lift, or their covariances are more than a body.
     """
     model_id = model_of(fit)
-    if fit.frames > settings.max_frames:
-        raise invalid(
-            "/refine",
-            f"expected a fit of {settings.max_frames} frames at most, this one has {fit.frames}: "
-            "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
-        )
+    dataset = lookup.get(store, records.DatasetRecord, fit.dataset_id)
+    _check_size(fit, dataset, uncertainty, settings)
     capture = fits.load_fitted(store, fit)
     prior = engine.models.get(store.project, model_id).prior
-    times = datasets.times_of(lookup.get(store, records.DatasetRecord, fit.dataset_id), capture)
+    times = datasets.times_of(dataset, capture)
     keypoints, confidence = in_step(
         capture.keypoints, capture.confidence, times, prior.capture.clocks
     )
-    return prior.lift(keypoints, confidence=confidence, refine=refine, times=times).arrays
+    lift = prior.lift(
+        keypoints, confidence=confidence, refine=refine, times=times, uncertainty=uncertainty
+    )
+    return of_uncertainty(lift.arrays, uncertainty)
+
+
+def _check_size(
+    fit: records.FitRecord,
+    dataset: records.DatasetRecord,
+    uncertainty: Uncertainty,
+    settings: SettingsDep,
+) -> None:
+    """Raise ``ApiError`` unless the frames of a fit may be lifted for one request."""
+    field = "/uncertainty" if uncertainty == "full" else "/refine"
+    if fit.frames > settings.max_frames:
+        raise invalid(
+            field,
+            f"expected a fit of {settings.max_frames} frames at most, this one has {fit.frames}: "
+            "leave it out for what the fit stored, or lift the frames in parts with POST /lift",
+        )
+    size = answer_bytes(fit.frames, dataset.views, dataset.keypoints, uncertainty)
+    if uncertainty == "full" and size > settings.max_body_bytes:
+        raise invalid(
+            field,
+            f"expected an answer of {settings.max_body_bytes} bytes at most, this would have "
+            f"{size}: have the dataset lifted by workers, whose results have any length "
+            '(POST /lifts with "uncertainty": "full")',
+        )
 
 
 def model_of(fit: records.FitRecord) -> str:

@@ -13,8 +13,18 @@ from models.settings.calibration import Camera as ToldCamera
 from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.uncertainty import Uncertainty
 from service.wire.rooms import FRAME_OF_REFERENCE, UP
-from service.wire.schemas import CONFIDENCE, KEYPOINTS, POINTS3D, REFINE, TIMES, VIEWS, Name
+from service.wire.schemas import (
+    CONFIDENCE,
+    KEYPOINTS,
+    POINTS3D,
+    REFINE,
+    TIMES,
+    UNCERTAINTY,
+    VIEWS,
+    Name,
+)
 from store.labels import Labels, Text
 
 TriangulationCameras = TypeAliasType("TriangulationCameras", Literal["found", "calibration"])
@@ -49,6 +59,7 @@ class LiftRequest(BaseModel):
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
     frame: FrameOfReference | None = Field(None, description=FRAME_OF_REFERENCE)
     up: Up | None = Field(None, description=UP)
+    uncertainty: Uncertainty | None = Field(None, description=f"{UNCERTAINTY} The default is `sd`.")
 
 
 class LiftCreate(Labels):
@@ -72,6 +83,7 @@ class LiftCreate(Labels):
     views: list[Index] | None = Field(None, max_length=MAX_VIEWS, description=VIEWS)
     frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
     up: Up | None = Field(None, description=UP)
+    uncertainty: Uncertainty = Field("sd", description=UNCERTAINTY)
 
 
 class EvaluationCreate(BaseModel):

@@ -7,6 +7,7 @@ from typing_extensions import TypeAliasType
 
 from models.findings.catalogue import LiftCode
 from models.settings.keypoints import OUTLIER
+from models.settings.uncertainty import MODES, SYMMETRIC
 from store.labels import Text
 
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
@@ -71,6 +72,11 @@ REFINE = (
     "by more than a quarter, `full` wherever it can be computed, `off` never; the default is that "
     "of the fit."
 )
+UNCERTAINTY = (
+    "How far points may be off. `sd`: `points3d_sd`. `full`: `points3d_covariance` and "
+    "`points3d_modes`, too, by which deviations of lengths, angles and ratios can be computed. "
+    "`off`: none of them."
+)
 VIEWS = (
     "Which of the fitted views these are: one index per view, none twice. Without it they are "
     "those of the fit in its order if the numbers agree, else unknown cameras."
@@ -78,6 +84,11 @@ VIEWS = (
 
 Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Covariance = Annotated[list[float], Field(min_length=SYMMETRIC, max_length=SYMMETRIC)]
+Modes = Annotated[
+    list[Annotated[list[float], Field(min_length=MODES, max_length=MODES)]],
+    Field(min_length=3, max_length=3),
+]
 Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 
 
@@ -160,8 +171,19 @@ class LiftedFrame(BaseModel):
     points3d_sd: list[float | None] | None = Field(
         description="How far each point may be off: the root mean square of its expected distance "
         "from the true one, units of `points3d`. The structure's place and direction are no part "
-        "of it, nor is its size unless static cameras give it. Null in weak perspective, and in "
-        "what older versions stored or fitted."
+        "of it, nor is its size unless static cameras give it. Null in weak perspective, in what "
+        "older versions stored or fitted, and with `uncertainty: off`."
+    )
+    points3d_covariance: list[Covariance | None] | None = Field(
+        None,
+        description="Only with `uncertainty: full`: the covariance C of each point, xx, xy, xz, "
+        "yy, yz, zz, squares of the unit of `points3d`. Null where `points3d_sd` is.",
+    )
+    points3d_modes: list[Modes | None] | None = Field(
+        None,
+        description=f"Only with `uncertainty: full`: {MODES} modes U, keypoints x (x, y, z) x "
+        "modes, units of `points3d`: how points are off together. The covariance of all "
+        "coordinates of a structure is blockdiag(C - U U^T) + U U^T. Null where `points3d_sd` is.",
     )
     keypoints_seen: list[int] | None = Field(
         description="How many views show each keypoint: 0, it is inferred from the others; 1, so "

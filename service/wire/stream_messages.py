@@ -5,9 +5,10 @@ A frame in bytes:  kind u8 = 1, flags u8, views u16 (K), sequence u32, with flag
                    observed.
 Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d f32 (P, 3) and K
                    times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes,
-                   outlier_probability f32 (K, P). NaN: no answer. Flag 1: the frame
-                   could be lifted, 2: its refinement started from the answer before, 4, 8, 16 and
-                   32: see `FINDINGS`.
+                   outlier_probability f32 (K, P), then the arrays of the stream's `uncertainty`:
+                   points3d_sd f32 (P), points3d_covariance f32 (P, 6), points3d_modes f32
+                   (P, 3, 12). NaN: no answer. Flag 1: the frame could be lifted, 2: its refinement
+                   started from the answer before, 4, 8, 16 and 32: see `FINDINGS`.
 """
 
 import struct
@@ -21,6 +22,7 @@ from models.settings.config import Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from models.settings.times import MAX_FPS, MAX_LAG, MIN_FPS
+from models.settings.uncertainty import Uncertainty
 from service.http.errors import FieldError
 from service.wire.findings import Findings
 from service.wire.rooms import FRAME_OF_REFERENCE, UP
@@ -29,6 +31,7 @@ from service.wire.schemas import (
     FRAME_KEYPOINTS,
     LIFTED_FRAME,
     REFINE,
+    UNCERTAINTY,
     VIEWS,
     LiftedFrame,
 )
@@ -90,6 +93,7 @@ class StreamStart(BaseModel):
     )
     frame: FrameOfReference = Field("canonical", description=FRAME_OF_REFERENCE)
     up: Up | None = Field(None, description=UP)
+    uncertainty: Uncertainty = Field("sd", description=UNCERTAINTY)
     lag: int | None = Field(
         None,
         ge=0,
@@ -138,9 +142,11 @@ class StreamReady(BaseModel):
                 "continuity": True,
                 "frame": "room",
                 "up": "auto",
+                "uncertainty": "sd",
                 "header_bytes": 8,
                 "view_bytes": 108,
                 "seen_bytes": 20,
+                "uncertainty_bytes": 68,
                 "limits": {"message_bytes": 262144, "frames_in_hand": 16, "idle_seconds": 60.0},
             }
         }
@@ -155,6 +161,7 @@ class StreamReady(BaseModel):
     continuity: bool
     frame: FrameOfReference
     up: Up | None
+    uncertainty: Uncertainty = Field(description=UNCERTAINTY)
     lag: int | None = Field(None, description="Only where it was asked for, as is `fps`.")
     fps: float | None = None
     header_bytes: int = Field(HEADER.size, description="Of a binary message, before its arrays.")
@@ -162,6 +169,11 @@ class StreamReady(BaseModel):
     seen_bytes: int = Field(
         description="Of `keypoints_seen` after the views of a binary answer: one for each "
         f"keypoint, and zeros up to a multiple of {ALIGNED}. `outlier_probability` follows."
+    )
+    uncertainty_bytes: int = Field(
+        description="Of what follows `outlier_probability` in a binary answer: `points3d_sd` "
+        "unless `uncertainty` is `off`, and if it is `full` `points3d_covariance` and "
+        "`points3d_modes`. Streams of services that do not have this field end before."
     )
     limits: StreamLimits
 

@@ -1,7 +1,8 @@
 """Streams that are open, and the messages to who watches one: JSON, and frames as bytes.
 
-A frame in bytes:  as the answer to a frame (`service.wire.stream_messages`), but of kind 3, and
-                   with the keypoints that were sent, f32 (K, P, 2), after it.
+A frame in bytes:  as the answer to a frame (`service.wire.stream_messages`), but of kind 3, without
+                   covariances and modes, and with the keypoints that were sent, f32 (K, P, 2),
+                   after it.
 """
 
 from datetime import datetime
@@ -11,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from models.settings.config import Refine
 from models.settings.rooms import FrameOfReference, Up
+from models.settings.uncertainty import Uncertainty
 from service.wire.rooms import FRAME_OF_REFERENCE, UP
-from service.wire.schemas import REFINE, VIEWS
+from service.wire.schemas import REFINE, UNCERTAINTY, VIEWS
 from service.wire.stream_messages import Overload
 
 WATCHED = 3  # the kind of a frame that is watched
@@ -29,6 +31,7 @@ EXAMPLE: dict[str, Any] = {
     "continuity": True,
     "frame": "room",
     "up": "auto",
+    "uncertainty": "sd",
     "lag": None,
     "frames_per_second": 59.8,
     "latency_ms": 2.1,
@@ -56,6 +59,10 @@ class LiftStream(BaseModel):
     continuity: bool
     frame: FrameOfReference = Field(description=FRAME_OF_REFERENCE)
     up: Up | None = Field(description=UP)
+    uncertainty: Uncertainty = Field(
+        "off",  # of processes of an older version
+        description=f"{UNCERTAINTY} Frames that are watched have `points3d_sd` alone.",
+    )
     lag: int | None = Field(
         description="Frames that each answer waits for; null: it waits for none."
     )

@@ -244,6 +244,7 @@ def test_a_stream_of_another_is_watched(served: Served) -> None:
                 found = next(watched)
             np.testing.assert_array_equal(found.keypoints, frames[3])
             np.testing.assert_array_equal(found.answer.points3d, answer.points3d)
+            assert found.answer.points3d_sd is not None
             assert isinstance(awaited(first_seen(served)), OpenStream)
             opened.close()
             assert all(isinstance(last, OpenStream | WatchedFrame) for last in watched)  # it ends

@@ -66,6 +66,10 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     (tmp_path / "out.npz").unlink()
     command = ("lift", model, str(file), "-o", str(tmp_path / "out.npz"), "--json", url)
     assert said(fewview(*command, "--views=0,1,2"))["frames_lifted"] == 60
+    assert said(fewview(*command, "--uncertainty=full"))["frames_lifted"] == 60
+    with np.load(tmp_path / "out.npz") as arrays:
+        assert {"points3d_sd", "points3d_covariance", "points3d_modes"} <= set(arrays)
+    assert fewview(*command, "--uncertainty=some").returncode == 2
 
     fit = str(served.client.models.get(model).fit_id)
     out = tmp_path / "out"
@@ -310,3 +314,33 @@ def test_configuration_is_json_or_words() -> None:
     for wrong in ("steps", "[1]", "{", "=3"):
         with pytest.raises(ValueError, match=r"--config.*key=value"):
             fields_in([wrong], "--config")
+
+
+def test_every_way_to_lift_has_as_much_of_its_uncertainty_as_is_asked_for(served: Served) -> None:
+    client, capture, model = served.client, served.capture, served.model
+    frames, _, keypoints = capture.keypoints.shape[:3]
+    lift = client.lift(model, capture, uncertainty="full")
+    assert lift.points3d_sd is not None
+    assert np.isfinite(lift.points3d_sd).any()
+    assert lift.points3d_modes is not None
+    assert lift.points3d_modes.shape == (frames, keypoints, 3, 12)
+    assert client.lift(model, capture, uncertainty="off").points3d_sd is None
+    again = client.fits.reconstruction(served.fit, uncertainty="full")
+    assert again.points3d_covariance is not None
+    assert again.points3d_covariance.shape == (frames, keypoints, 6)
+    assert client.fits.reconstruction(served.fit, uncertainty="off").points3d_sd is None
+    job = client.lifts.wait(client.lifts.create(model, served.dataset, uncertainty="full"))
+    assert job.uncertainty == "full"
+    assert client.lifts.result(job).points3d_modes is not None
+    client.lifts.delete(job)
+    assert capture.confidence is not None
+    for kind in ("off", "sd", "full"):
+        with client.stream(model, uncertainty=kind) as stream:
+            assert stream.ready.uncertainty == kind
+            answer = stream.lift(capture.keypoints[0], confidence=capture.confidence[0])
+        assert (answer.points3d_sd is None) == (kind == "off")
+        assert (answer.points3d_modes is None) == (answer.points3d_covariance is None)
+        for name in ("points3d_sd", "points3d_covariance", "points3d_modes"):
+            if (mine := getattr(answer, name)) is not None:
+                np.testing.assert_allclose(mine, getattr(lift, name)[0], rtol=1e-3, atol=1e-6)
+        assert (answer.points3d_modes is None) == (kind != "full")

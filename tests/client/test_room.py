@@ -200,6 +200,14 @@ def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
             lift["scales"] = scales / units[:, None]
         # A tenth of the subject's size, in the unit of each frame.
         lift["points3d_sd"] = 0.1 * np.linalg.norm(lift["points3d"].std(1), axis=-1, keepdims=True)
+        # Points that are off by a shift along an axis of their own, all by the same.
+        axes = (
+            np.random.default_rng(1).normal(0, 0.1, (80, 1, 3, 1))
+            * lift["points3d_sd"][..., None, None]
+        )
+        lift["points3d_modes"] = np.repeat(axes, lift["points3d"].shape[1], axis=1)
+        squares = lift["points3d_modes"] @ lift["points3d_modes"].mT
+        lift["points3d_covariance"] = squares[..., *np.triu_indices(3)]
         placed = in_room(lift, *rig)
         nowhere = [4, 5, 6] if first_moves else [5]  # with one static view there is no baseline
         there = np.delete(np.arange(80), nowhere)
@@ -207,6 +215,13 @@ def test_frames_are_said_in_the_room_with_their_cameras(walk: Walk) -> None:
         sizes = np.linalg.norm(placed["points3d"].std(1), axis=-1, keepdims=True)
         np.testing.assert_allclose(placed["points3d_sd"][there], 0.1 * sizes[there])
         assert np.isnan(placed["points3d_sd"][nowhere]).all()
+        moved = in_room(lift | {"points3d": lift["points3d"] + axes[..., 0]}, *rig)
+        shifts = (moved["points3d"] - placed["points3d"])[there]
+        np.testing.assert_allclose(placed["points3d_modes"][there, ..., 0], shifts, atol=1e-9)
+        outer = (shifts[..., None] * shifts[..., None, :])[..., *np.triu_indices(3)]
+        np.testing.assert_allclose(placed["points3d_covariance"][there], outer, atol=1e-9)
+        assert np.isnan(placed["points3d_modes"][nowhere]).all()
+        assert np.isnan(placed["points3d_covariance"][nowhere]).all()
         np.testing.assert_allclose(in_cameras(placed)[there], before[there], rtol=1e-6, atol=1e-6)
         assert np.isnan(placed["points3d"][nowhere]).all()
         assert np.isnan(placed["rotations"][nowhere]).all()

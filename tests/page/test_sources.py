@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 from scipy.spatial.transform import Rotation
 
+from models.settings.uncertainty import Uncertainty
 from service.realtime.stream_frames import Frame, write_answer, write_watched
 from service.wire.stream_messages import FRAME, HEADER
 from store.capture import Capture
@@ -134,12 +135,15 @@ def write_stream(folder: Path) -> None:
     keypoints = KEYPOINTS[3:4].astype(np.float32)
     keypoints[0, 1, 2:5] = np.nan
     lift = prior.lift(keypoints)
-    lift = lift._replace(findings=np.array([9], np.uint8))
+    sds = np.linspace(0.1, 0.9, keypoints.shape[2], dtype=np.float32)[None]
+    lift = lift._replace(findings=np.array([9], np.uint8), points3d_sd=sds)
     came = Frame(binary=True, sequence=70_000, capture=Capture(keypoints))
-    answer = write_answer(came, lift, prior)
-    assert isinstance(answer, bytes)
-    (folder / "answer.bin").write_bytes(answer)
-    (folder / "watched.bin").write_bytes(write_watched(came, lift))
+    kinds: dict[str, Uncertainty] = {"answer": "sd", "answer-off": "off"}
+    for name, uncertainty in kinds.items():
+        answer = write_answer(came, lift, prior, uncertainty)
+        assert isinstance(answer, bytes)
+        (folder / f"{name}.bin").write_bytes(answer)
+    (folder / "watched.bin").write_bytes(write_watched(came, lift, "full"))
     frame = HEADER.pack(FRAME, 0, keypoints.shape[1], 3) + keypoints.tobytes()
     (folder / "frame.bin").write_bytes(frame)
     arrays = {name: listed(array[0]) for name, array in lift.arrays.items()}

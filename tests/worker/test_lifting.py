@@ -341,6 +341,7 @@ def test_a_plain_producer_gets_a_lift(
         ({"model_id": "mdl_gone"}, "model_not_found", "mdl_gone"),
         ({"model_id": None}, "invalid_arguments", "model_id"),
         ({"refine": "some"}, "invalid_arguments", "refine"),
+        ({"uncertainty": "some"}, "invalid_arguments", "uncertainty"),
         ({"views": [0, 1]}, "invalid_arguments", "one index per view of the dataset"),
         ({"views": [0, 1, 7]}, "invalid_arguments", "views must name 3 different views"),
         ({"frame": "room"}, "invalid_arguments", "has no room"),

@@ -90,6 +90,7 @@ class Fits(Jobs[Driver, Fit]):
         refine: str | None = None,
         frame: str | None = None,
         up: ArrayLike | None = None,
+        uncertainty: str | None = None,
     ) -> Steps[Lift]:
         """Return all fitted frames in 3D.
 
@@ -99,6 +100,8 @@ class Fits(Jobs[Driver, Fit]):
             ``auto``, ``full`` or ``off``: lift them again with this refinement.
         frame, up
             The frame of reference; see :meth:`~fewview.Client.lift`.
+        uncertainty
+            ``off``, ``sd`` or ``full``, for which the frames are lifted again. None: ``sd``.
 
         Raises
         ------
@@ -112,7 +115,7 @@ class Fits(Jobs[Driver, Fit]):
                 "GET",
                 where,
                 Lift.of,
-                params={"refine": refine, **room_query(frame, up)},
+                params={"refine": refine, "uncertainty": uncertainty, **room_query(frame, up)},
                 headers=headers,
             )
         )

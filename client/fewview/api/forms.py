@@ -182,6 +182,7 @@ class LiftJob(Job):
     refine: str | None = None
     views: tuple[int, ...] | None = None
     frame: str = "canonical"
+    uncertainty: str = "sd"
     progress: LiftProgress | None = None
 
 

@@ -27,7 +27,7 @@ class Lift:
     points3d_sd
         (N, P) how far each point may be off: the root mean square of its expected distance from
         the true one, in the unit of the points. NaN where it is not known; None for old
-        reconstructions.
+        reconstructions, and with ``uncertainty="off"``.
     rotations
         (N, K, 3, 3) from there to each camera's axes: x right, y down, z forward.
     scales
@@ -52,6 +52,11 @@ class Lift:
         (N, K, P) in [0, 1]: probability of a keypoint to be an outlier. Above 0.5 it was left out
         of the lift or, if left and right were swapped, used in its partner's place. NaN where it
         was not observed or not judged; None for old reconstructions.
+    points3d_covariance, points3d_modes
+        (N, P, 6) covariances C of the points, xx, xy, xz, yy, yz, zz, and (N, P, 3, 12) modes U:
+        how points are off together. The covariance of all coordinates of a structure is
+        blockdiag(C - U U^T) + U U^T. NaN where it is not known; None without
+        ``uncertainty="full"``.
     frame_findings
         (N,) sums of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``; None for old reconstructions.
@@ -72,6 +77,8 @@ class Lift:
     keypoints_used: NDArray[np.integer[Any]]
     camera_models: NDArray[np.integer[Any]]
     points3d_sd: Float32 | None = None
+    points3d_covariance: Float32 | None = None
+    points3d_modes: Float32 | None = None
     keypoints_seen: NDArray[np.integer[Any]] | None = None
     outlier_probability: Float32 | None = None
     frame_findings: NDArray[np.integer[Any]] | None = None
@@ -117,6 +124,7 @@ def lift_request(
     views: Iterable[int] | None = None,
     frame: str | None = None,
     up: ArrayLike | None = None,
+    uncertainty: str | None = None,
 ) -> Request[Lift]:
     """Return the request that lifts frames with a fitted model.
 
@@ -134,6 +142,8 @@ def lift_request(
         Which K views of the fit these are; None if they are all, or unknown.
     frame, up
         The frame of reference of points and cameras; see :meth:`~fewview.Client.lift`.
+    uncertainty
+        ``off``, ``sd`` or ``full``; see :meth:`~fewview.Client.lift`.
     """
     if isinstance(keypoints, Capture):
         confidence = keypoints.confidence if confidence is None else confidence
@@ -153,6 +163,7 @@ def lift_request(
             "model": identifier(model),
             "refine": refine,
             "views": None if views is None else tuple(views),
+            "uncertainty": uncertainty,
             **room_query(frame, up),
         },
         headers={"Content-Type": SAFETENSORS, "Accept": SAFETENSORS},

@@ -36,6 +36,7 @@ class Lifts(Jobs[Driver, LiftJob]):
         views: Iterable[int] | None = None,
         frame: str | None = None,
         up: ArrayLike | None = None,
+        uncertainty: str | None = None,
         tags: Iterable[str] = (),
         metadata: Mapping[str, Any] | None = None,
     ) -> Steps[LiftJob]:
@@ -49,6 +50,8 @@ class Lifts(Jobs[Driver, LiftJob]):
             Which views of the fit the dataset's are; None if they are all, or unknown.
         frame, up
             The frame of reference of the result; see :meth:`~fewview.Client.lift`.
+        uncertainty
+            ``off``, ``sd`` or ``full``: how much of it the result has. None: ``sd``.
         tags, metadata
             Words, and any JSON object, for finding the lift.
 
@@ -69,6 +72,7 @@ class Lifts(Jobs[Driver, LiftJob]):
             "views": None if views is None else list(views),
             "frame": frame,
             "up": None if up is None else up_in_json(up),
+            "uncertainty": uncertainty,
         }
         body = {key: value for key, value in fields.items() if value is not None}
         return self._call(

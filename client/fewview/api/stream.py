@@ -60,6 +60,8 @@ class Start(TypedDict, total=False):
         Whether frames follow each other, so that refinement may start from the previous answer.
     frame, up
         The frame of reference of the answers; see :meth:`~fewview.Client.lift`.
+    uncertainty
+        ``off``, ``sd`` (the default) or ``full``: how much of it answers have.
     lag
         Smooth frames in time, each by up to so many later ones, 0 to 50, for which its answer
         waits. Only for models that were fitted to noisy frames with times.
@@ -73,6 +75,7 @@ class Start(TypedDict, total=False):
     continuity: bool
     frame: str
     up: Sequence[float] | str | None
+    uncertainty: str
     lag: int | None
     fps: float | None
 
@@ -190,7 +193,7 @@ class Stream:
             The stream was closed.
         """
         with talking():
-            return read_message(self._socket.recv(), self.ready.keypoints)
+            return read_message(self._socket.recv(), self.ready.keypoints, self.ready.uncertainty)
 
     def lift(
         self,
@@ -274,7 +277,9 @@ class AsyncStream:
     async def receive(self) -> Answer | Dropped:
         """Return the next answer, as :meth:`Stream.receive` does."""
         with talking():
-            return read_message(await self._socket.recv(), self.ready.keypoints)
+            return read_message(
+                await self._socket.recv(), self.ready.keypoints, self.ready.uncertainty
+            )
 
     async def lift(
         self,

@@ -6,6 +6,7 @@
 import json
 import struct
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,12 @@ VIEW = np.dtype(
         ("reprojection_errors", "<f4"),
     ]
 )
+# What follows in an answer, and its shape for each keypoint.
+UNCERTAINTY: dict[str, dict[str, tuple[int, ...]]] = {
+    "off": {},
+    "sd": {"points3d_sd": ()},
+    "full": {"points3d_sd": (), "points3d_covariance": (6,), "points3d_modes": (3, 12)},
+}
 STATUSES = {
     "malformed_body": 400,
     "not_found": 404,
@@ -51,6 +58,7 @@ class Ready:
     keypoints: int
     views: tuple[int, ...] | None
     refine: str
+    uncertainty: str
     raw: dict[str, Any]
 
 
@@ -74,6 +82,9 @@ class Answer:
         (P,) how many views show each; 0 is inferred.
     outlier_probability
         (K, P) as in :class:`~fewview.Lift`.
+    points3d_sd, points3d_covariance, points3d_modes
+        (P,), (P, 6) and (P, 3, 12) as in :class:`~fewview.Lift`; None if the stream was not asked
+        for them.
     findings
         Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``.
@@ -87,6 +98,9 @@ class Answer:
     keypoints_seen: NDArray[np.uint8]
     outlier_probability: Float32
     findings: int
+    points3d_sd: Float32 | None = None
+    points3d_covariance: Float32 | None = None
+    points3d_modes: Float32 | None = None
 
 
 @dataclass(frozen=True)
@@ -121,8 +135,10 @@ def write_frame(
     return b"".join((header, moment, points.tobytes(), trailer))
 
 
-def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
+def read_message(message: str | bytes, keypoints: int, uncertainty: str) -> Answer | Dropped:
     """Return a message of the service after it was ready, with P ``keypoints`` for each view.
+
+    It has as much of their uncertainty as the stream.
 
     Raises
     ------
@@ -139,6 +155,11 @@ def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
     views = np.frombuffer(message, VIEW, count, HEADER.size + points3d.nbytes)
     seen_at = HEADER.size + points3d.nbytes + views.nbytes
     judged_at = seen_at + -(-keypoints // ALIGNED) * ALIGNED
+    judged = np.frombuffer(message, "<f4", count * keypoints, judged_at)
+    found, start = {}, judged_at + judged.nbytes
+    for name, shape in UNCERTAINTY[uncertainty].items():
+        array = np.frombuffer(message, "<f4", keypoints * prod(shape), start)
+        found[name], start = array.reshape(keypoints, *shape), start + array.nbytes
     return Answer(
         sequence=sequence,
         lifted=bool(flags & LIFTED),
@@ -146,10 +167,9 @@ def read_message(message: str | bytes, keypoints: int) -> Answer | Dropped:
         points3d=points3d,
         views=views,
         keypoints_seen=np.frombuffer(message, np.uint8, keypoints, seen_at),
-        outlier_probability=np.frombuffer(message, "<f4", count * keypoints, judged_at).reshape(
-            count, keypoints
-        ),
+        outlier_probability=judged.reshape(count, keypoints),
         findings=flags >> 2,
+        **found,
     )
 
 
@@ -174,6 +194,7 @@ def read_ready(message: str | bytes) -> Ready:
         document["keypoints"],
         None if views is None else tuple(views),
         document["refine"],
+        document.get("uncertainty", "off"),  # older services send none
         document,
     )
 

@@ -82,13 +82,13 @@ def watch(line: Line, stream: OpenStream | str) -> Iterator[Iterator[OpenStream 
 
 
 def _read_all(connection: Iterable[str | bytes]) -> Iterator[OpenStream | WatchedFrame]:
-    keypoints = 0
+    state: OpenStream | None = None
     with talking():
         for message in connection:
-            found = _read(message, keypoints)
+            found = _read(message, state)
             if found is None:
                 return
-            keypoints = found.keypoints if isinstance(found, OpenStream) else keypoints
+            state = found if isinstance(found, OpenStream) else state
             yield found
 
 
@@ -107,13 +107,13 @@ async def watch_async(
 async def _read_all_async(
     connection: AsyncIterable[str | bytes],
 ) -> AsyncIterator[OpenStream | WatchedFrame]:
-    keypoints = 0
+    state: OpenStream | None = None
     with talking():
         async for message in connection:
-            found = _read(message, keypoints)
+            found = _read(message, state)
             if found is None:
                 return
-            keypoints = found.keypoints if isinstance(found, OpenStream) else keypoints
+            state = found if isinstance(found, OpenStream) else state
             yield found
 
 
@@ -122,14 +122,17 @@ def _where(line: Line, stream: OpenStream | str) -> str:
     return f"{line.base}{path('lift', 'streams', identifier, 'watch')}"
 
 
-def _read(message: str | bytes, keypoints: int) -> OpenStream | WatchedFrame | None:
-    """Return what a message has; None if the stream has ended."""
+def _read(message: str | bytes, stream: OpenStream | None) -> OpenStream | WatchedFrame | None:
+    """Return what a message of a stream has; None if it has ended."""
     if isinstance(message, str):
         document = json.loads(message)
         if document["type"] == "error":
             raise refusal(document)
         return None if document["type"] == "ended" else read(OpenStream, document)
-    answer = read_message(message, keypoints)
+    assert stream is not None  # noqa: S101 (a state comes first)
+    keypoints = stream.keypoints
+    shown = "off" if stream.raw.get("uncertainty", "off") == "off" else "sd"
+    answer = read_message(message, keypoints, shown)
     assert isinstance(answer, Answer)  # noqa: S101
     views = len(answer.views)
     sent = np.frombuffer(message, "<f4", offset=len(message) - 8 * views * keypoints)

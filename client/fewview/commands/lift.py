@@ -29,6 +29,13 @@ def lift(
     up: Annotated[
         str | None, typer.Option(help="Up in the room: `auto`, or a vector such as `0,-1,0`.")
     ] = None,
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            help="How far points may be off: `sd`, the default; `full`, with covariances and "
+            "modes, for lengths and angles; `off`."
+        ),
+    ] = None,
     url: Url = None,
     as_json: AsJson = False,
 ) -> None:
@@ -45,6 +52,7 @@ def lift(
             views=None if views is None else _indices(views),
             frame=frame,
             up=up,
+            uncertainty=uncertainty,
         )
         part = output.with_name(f"{output.name}.part")
         with part.open("wb") as file:

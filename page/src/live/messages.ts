@@ -46,8 +46,13 @@ export interface WatchedFrame {
 
 /** @param keypoints of a view */
 export function readWatched(message: ArrayBuffer, keypoints: number): WatchedFrame {
-  const { lifted, end } = read(message, WATCHED, keypoints);
-  return { pixels: new Float32Array(message, end), lifted };
+  const { lifted } = read(message, WATCHED, keypoints);
+  return { pixels: new Float32Array(message, message.byteLength - pixelBytes(message, keypoints)), lifted };
+}
+
+/** How many bytes at its end are the keypoints of a frame that is watched. */
+function pixelBytes(message: ArrayBuffer, keypoints: number): number {
+  return 8 * viewsIn(message) * keypoints;
 }
 
 function read(message: ArrayBuffer, kind: number, keypoints: number) {
@@ -58,6 +63,8 @@ function read(message: ArrayBuffer, kind: number, keypoints: number) {
   const sequence = header.getUint32(4, true);
   const start = HEADER + 12 * keypoints;
   const outliers = start + 4 * VIEW * views + 4 * Math.ceil(keypoints / 4);
+  const deviations = outliers + 4 * views * keypoints;
+  const end = message.byteLength - (kind === WATCHED ? pixelBytes(message, keypoints) : 0);
   const lifted: Lifted = {
     frames: 1,
     views,
@@ -66,8 +73,10 @@ function read(message: ArrayBuffer, kind: number, keypoints: number) {
     ...viewsOf(message, start, views),
     outliers: new Float32Array(message, outliers, views * keypoints),
     bits: [flags >> FINDINGS],
+    // A stream whose `uncertainty` is off has none.
+    deviations: end > deviations ? new Float32Array(message, deviations, keypoints) : undefined,
   };
-  return { flags, sequence, lifted, end: outliers + 4 * views * keypoints };
+  return { flags, sequence, lifted };
 }
 
 function viewsOf(message: ArrayBuffer, start: number, views: number) {

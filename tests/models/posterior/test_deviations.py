@@ -12,7 +12,8 @@ from safetensors.numpy import load, save
 from models.capture.metrics import procrustes_by_size
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError
-from models.settings.config import FitConfig, Uncertainty
+from models.settings.config import FitConfig
+from models.settings.uncertainty import Uncertainty
 from models.training.trainer import fit
 from tests.models.rigs import RigCapture, make_rig_capture
 from tests.sharing import fitted_once

@@ -22,6 +22,7 @@ from tests.service.conftest import (
 )
 
 Array = np.ndarray[Any, Any]
+KEYPOINTS = 16  # of the models of these tests
 
 VIEW = np.dtype(
     "<i4, (3,3)<f4, <f4, 3<f4, 2<f4, 2<f4, 8<f4, <f4",
@@ -101,19 +102,35 @@ def read_bytes(data: str | bytes) -> Answer:
     assert isinstance(data, bytes), data
     kind, flags, count, sequence = struct.unpack_from("<BBHI", data)
     assert kind == 2
-    keypoints = 16  # of the model of these tests
+    keypoints = KEYPOINTS
     views_at = 8 + 12 * keypoints
     seen_at = views_at + 108 * count
     judged_at = seen_at + keypoints
-    assert len(data) == judged_at + 4 * count * keypoints
+    ends = judged_at + 4 * count * keypoints
+    assert len(data) - ends in {4 * keypoints * n for n in (0, 1, 43)}  # `uncertainty_in` has it
     return Answer(
         sequence,
         flags,
         np.frombuffer(data[8:views_at], "<f4").reshape(-1, 3),
         np.frombuffer(data[views_at:seen_at], VIEW),
         np.frombuffer(data[seen_at:judged_at], np.uint8),
-        np.frombuffer(data[judged_at:], "<f4").reshape(count, keypoints),
+        np.frombuffer(data[judged_at:ends], "<f4").reshape(count, keypoints),
     )
+
+
+def uncertainty_in(data: str | bytes) -> dict[str, Array]:
+    """Return the arrays of an answer in bytes that are how far its points may be off."""
+    assert isinstance(data, bytes), data
+    views = struct.unpack_from("<H", data, 2)[0]
+    numbers = np.frombuffer(data[8 + 13 * KEYPOINTS + views * (108 + 4 * KEYPOINTS) :], "<f4")
+    if not numbers.size:
+        return {}
+    found = {"points3d_sd": numbers[:KEYPOINTS]}
+    if numbers.size > KEYPOINTS:
+        covariances, modes = np.split(numbers[KEYPOINTS:], [6 * KEYPOINTS])
+        found["points3d_covariance"] = covariances.reshape(KEYPOINTS, 6)
+        found["points3d_modes"] = modes.reshape(KEYPOINTS, 3, 12)
+    return found
 
 
 def read_json(data: str | bytes) -> dict[str, Any]:

@@ -303,13 +303,17 @@ def test_the_client_streams_with_a_lag(
 ) -> None:
     with (
         Client(str(http.base_url)) as client,
-        client.stream(smoothing, lag=2) as stream,
+        client.stream(smoothing, lag=2, uncertainty="full") as stream,
     ):
         for n in range(10):
             stream.send(NOISY[n], time=TIMES[n])
         stream.flush()
         answers = [stream.receive() for _ in range(10)]
         assert all(isinstance(answer, Answer) and answer.lifted for answer in answers)
+        for answer in answers:
+            assert isinstance(answer, Answer)
+            assert answer.points3d_modes is not None
+            assert answer.points3d_modes.shape == (NOISY.shape[2], 3, 12)
         with pytest.raises(ValueError, match="answers wait for later frames"):
             stream.lift(NOISY[10], time=TIMES[10])
 

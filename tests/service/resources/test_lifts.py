@@ -11,6 +11,7 @@ from safetensors.numpy import load
 from starlette.testclient import TestClient
 
 from models.capture.synthetic import SyntheticCapture
+from models.settings.uncertainty import ARRAYS
 from service.settings import Settings
 from store import lift_chunks
 from store.database import Store
@@ -87,6 +88,7 @@ def test_a_repeated_request_makes_one_lift(api: TestClient, model: str) -> None:
         ({"dataset_id": None}, "/dataset_id"),
         ({"name": ""}, "/name"),
         ({"refine": "some"}, "/refine"),
+        ({"uncertainty": "some"}, "/uncertainty"),
         ({"views": "all"}, "/views"),
         ({"views": []}, "/views"),
         ({"views": [0]}, "/views"),
@@ -198,6 +200,30 @@ def test_the_result_is_what_lift_answers_in_every_format(
         assert_same(orjson.loads(text), frame)
     problem(live.http.get(url, headers={"Accept": "application/json"}), 406, "not_acceptable")
     problem(live.http.get(f"{url}?format=json"), 422, "invalid_input", "/format")
+
+
+def test_a_result_has_as_much_of_its_uncertainty_as_was_asked_for(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture, lifted: dict[str, Any]
+) -> None:
+    assert lifted["uncertainty"] == "sd"
+    frames = to_safetensors(frames=capture.keypoints, confidence=capture.confidence)
+    here = f"/lift?model={fitted['model_id']}&format=safetensors"
+    for kind in ("off", "full"):
+        body = {name: fitted[name] for name in ("model_id", "dataset_id")} | {"uncertainty": kind}
+        lift = live.http.post("/lifts", json=body).json()
+        assert lift["uncertainty"] == kind
+        url = f"/lifts/{lift['id']}"
+        list(job_events(live, url))  # until it has ended
+        found = load(live.http.get(f"{url}/result?format=safetensors").content)
+        query = f"{here}&uncertainty={kind}"
+        at_once = load(live.http.post(query, content=frames, headers=BYTES).content)
+        assert found.keys() == at_once.keys()
+        for name in found.keys() & ARRAYS["full"].keys():
+            assert np.isfinite(found[name]).any()
+            np.testing.assert_allclose(found[name], at_once[name], rtol=1e-3, atol=1e-5)
+        [first, *_] = live.http.get(f"{url}/result").text.splitlines()
+        assert ("points3d_modes" in orjson.loads(first)) == (kind == "full")
+        assert live.http.delete(url).status_code == 204
 
 
 @pytest.mark.parametrize("wanted", ["jsonl", "npz", "safetensors"])

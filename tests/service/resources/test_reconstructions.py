@@ -16,6 +16,7 @@ from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import CAMERA_MODELS
+from models.settings.uncertainty import ARRAYS
 from service.settings import Settings
 from store import attempts, fits, records
 from store.database import Store
@@ -133,6 +134,48 @@ def test_a_reconstruction_can_be_refined_otherwise(
         load(live.http.get(f"{url}?format=safetensors&refine=off").content)["camera_models"] <= 0
     ).all()
     problem(live.http.get(f"{url}?refine=some"), 422, "invalid_input", "/refine")
+
+
+def test_a_reconstruction_has_as_much_of_its_uncertainty_as_is_asked_for(
+    live: Live, fitted: dict[str, Any], capture: SyntheticCapture
+) -> None:
+    url = f"/fits/{fitted['id']}/reconstruction"
+    stored = live.http.get(f"{url}?format=safetensors")
+    assert live.http.get(f"{url}?format=safetensors&uncertainty=sd").content == stored.content
+    arrays = load(stored.content)
+    for form in ("npz", "safetensors", "json"):
+        for more in ("", "&frames=3:9"):  # as a file that is laid out, and made in memory
+            answer = live.http.get(f"{url}?format={form}&uncertainty=off{more}")
+            assert answer.status_code == 200, answer.text
+            if form == "json":
+                frames = answer.json()["frames"]
+                assert all(frame["points3d_sd"] is None for frame in frames)
+                continue
+            read = load if form == "safetensors" else read_npz
+            without = read(answer.content)
+            assert without.keys() == arrays.keys() - {"points3d_sd"}
+            part = slice(3, 9) if more else slice(None)
+            for name, array in without.items():
+                np.testing.assert_array_equal(array, arrays[name][part])
+    full = load(live.http.get(f"{url}?format=safetensors&uncertainty=full").content)
+    assert full.keys() == arrays.keys() | ARRAYS["full"].keys()
+    prior = FittedPrior.from_bytes(live.http.get(f"/models/{fitted['model_id']}/weights").content)
+    here = prior.lift(capture.keypoints, confidence=capture.confidence, uncertainty="full")
+    assert np.isfinite(here.points3d_modes).any()
+    for name in ("points3d", *ARRAYS["full"]):
+        np.testing.assert_allclose(full[name], getattr(here, name), rtol=1e-3, atol=1e-5)
+    first = live.http.get(f"{url}?uncertainty=full").json()["frames"][0]
+    np.testing.assert_array_equal(
+        np.array(first["points3d_covariance"], np.float32), full["points3d_covariance"][0]
+    )
+    refused = live.http.get(f"{url}?uncertainty=full&frames=3:9")
+    assert "what the fit stored" in problem(refused, 422, "invalid_input", "/uncertainty")
+    problem(live.http.get(f"{url}?uncertainty=some"), 422, "invalid_input", "/uncertainty")
+
+
+def read_npz(content: bytes) -> dict[str, Any]:
+    with np.load(io.BytesIO(content)) as file:
+        return dict(file)
 
 
 def test_what_is_gone_cannot_be_refined_otherwise(live: Live) -> None:
@@ -325,6 +368,13 @@ def test_a_long_fit_is_refined_otherwise_in_parts(api: TestClient, settings: Set
     response = api.get(f"/fits/{fit}/reconstruction?refine=full")
     detail = problem(response, 422, "invalid_input", "/refine")
     assert "in parts with POST /lift" in detail
+    response = api.get(f"/fits/{fit}/reconstruction?uncertainty=full")
+    problem(response, 422, "invalid_input", "/uncertainty")
+    fit = stored_fit(settings, make_dataset(api, seed=1), b"", frames=settings.max_frames)
+    with served(settings.model_copy(update={"max_body_bytes": 2**19})) as http:
+        response = http.get(f"/fits/{fit}/reconstruction?uncertainty=full")
+        detail = problem(response, 422, "invalid_input", "/uncertainty")
+    assert "POST /lifts" in detail
 
 
 @pytest.mark.parametrize("what", ["reconstruction", "weights"])
