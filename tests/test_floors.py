@@ -57,7 +57,7 @@ PACKAGES = {
             "sockets",
             "upright",
         ),
-        ("calibration", "corrections", "embedded", "keys", "lenses", "reading_options"),
+        ("calibration", "corrections", "embedded", "keys", "lenses", "measures", "reading_options"),
         ("gif", "readers"),
         ("api", "known_data"),
         ("client", "room"),

@@ -9,10 +9,12 @@ import httpx2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fewview import measures
 from fewview.api.arrays import SAFETENSORS, read_safetensors, to_safetensors
 from fewview.api.forms import Finding, Model, read
 from fewview.api.steps import Request
 from fewview.capture import Capture, Float32
+from fewview.measures import Measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,56 @@ class Lift:
     def lifted(self) -> NDArray[np.bool_]:
         """Which frames (N,) got a structure."""
         return np.asarray(np.isfinite(self.points3d).any(axis=(1, 2)))
+
+    def lengths(self, pairs: ArrayLike) -> Measured:
+        """Return the distances of pairs of keypoints in every frame, and how far they may be off.
+
+        To have the deviations, lift with ``uncertainty="full"``. They are to first order, and know
+        what points share: that they are off together by the scale, or by a camera. Each distance
+        has one, not each point of its own. Without `full` they are NaN.
+
+        Parameters
+        ----------
+        pairs
+            (M, 2) keypoints, counted from 0.
+
+        Returns
+        -------
+        Measured
+            ``values`` and ``sds`` (N, M), in the unit of the points.
+
+        Raises
+        ------
+        ValueError
+            There are no such keypoints, or both of a pair are the same.
+
+        Examples
+        --------
+        >>> lift = client.lift(model, keypoints, uncertainty="full")
+        >>> values, sds = lift.lengths([(11, 13), (13, 15)])  # thigh and shin
+        >>> f"{values[0, 0]:.3f} ± {sds[0, 0]:.3f}"
+        """
+        return measures.lengths(self._uncertain, pairs)
+
+    def angles(self, triples: ArrayLike) -> Measured:
+        """Return the angles at the second of three keypoints (M, 3), degrees; see :meth:`lengths`.
+
+        To first order: near 0 and 180 degrees, where an angle has an end, a deviation that is as
+        large as what is left to it is too small.
+        """
+        return measures.angles(self._uncertain, triples)
+
+    def ratios(self, pairs: ArrayLike) -> Measured:
+        """Return the length of the first of two pairs (M, 2, 2) divided by that of the second.
+
+        Ratios of lengths know no unit, so neither does how far they may be off: it is without the
+        scale's. See :meth:`lengths`.
+        """
+        return measures.ratios(self._uncertain, pairs)
+
+    @property
+    def _uncertain(self) -> measures.Uncertain:
+        return measures.Uncertain(self.points3d, self.points3d_covariance, self.points3d_modes)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by their names here, such as for ``np.savez``."""
