@@ -8,8 +8,10 @@ import { test } from "node:test";
 import { frameMessage, readAnswer, readWatched, viewsIn } from "../src/live/messages.ts";
 import { partsOf } from "../src/datasets/parts.ts";
 import { openCapture } from "../src/data/capture.ts";
+import { readCovariances } from "../src/data/covariances.ts";
+import type { Frame } from "../src/data/placing.ts";
 import { readSafetensors } from "../src/data/safetensors.ts";
-import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE, type Frame } from "../src/data/take.ts";
+import { ALL, emptyTake, nearest, putDetected, putStructures, STRUCTURE } from "../src/data/take.ts";
 import { floats } from "../src/data/tensor.ts";
 import { frameErrors, keypointErrors, LEFT_OUT, UNSEEN } from "../src/science/errors.ts";
 import { angles, coordinates, lengths, speeds } from "../src/science/measures.ts";
@@ -66,6 +68,40 @@ for (const frame of ["level", "camera", "view"] as const) {
     }
   });
 }
+
+test("covariances are turned as points are", { skip }, async () => {
+  for (const frame of ["level", "camera", "view"] as const) {
+    const shown = await take(frame);
+    const { keypoints } = shown;
+    const file = reconstruction();
+    // Each point is off along the way to it from the first of its frame.
+    const ways = (points: ArrayLike<number>) =>
+      Float32Array.from(points, (value, at) => value - points[at - (at % (3 * keypoints)) + (at % 3)]!);
+    const squares = (way: Float32Array) =>
+      Float32Array.from({ length: 2 * way.length }, (_, at) => {
+        const [row, column] = [
+          [0, 0],
+          [0, 1],
+          [0, 2],
+          [1, 1],
+          [1, 2],
+          [2, 2],
+        ][at % 6]!;
+        const first = 3 * Math.floor(at / 6);
+        return way[first + row!]! * way[first + column!]!;
+      });
+    const before = ways(floats(file, "points3d")!);
+    file.set("points3d_modes", { shape: [shown.frames, keypoints, 3, 1], data: before });
+    file.set("points3d_covariance", { shape: [shown.frames, keypoints, 6], data: squares(before) });
+    const found = readCovariances(shown, file)!;
+    assert.equal(found.rank, 1);
+    const after = ways([...shown.points]);
+    const near = (values: ArrayLike<number>, expected: Float32Array) =>
+      expected.forEach((value, at) => assert.ok(Number.isNaN(value) || Math.abs(values[at]! - value) < 1e-3, frame));
+    near(found.modes, after);
+    near(found.covariance, squares(after));
+  }
+});
 
 test("errors of keypoints are distances from those pixels, outliers left out", { skip }, async () => {
   const shown = await take("level");

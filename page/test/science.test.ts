@@ -5,7 +5,7 @@ import { boxOf, roundLength, subjectSize, usualStep } from "../src/science/exten
 import { frameFindings } from "../src/science/frame_findings.ts";
 import { csvOf, cellOf } from "../src/parts/csv.ts";
 import { afterClick } from "../src/result/selection.ts";
-import { namedAngles } from "../src/science/named_angles.ts";
+import { edgeAngles, namedAngles } from "../src/science/named_angles.ts";
 import { sidesOf } from "../src/science/sides.ts";
 import { quantile, worstFrames } from "../src/science/worst.ts";
 import { seeded } from "./helpers.ts";
@@ -172,6 +172,17 @@ test("joints have angles by the usual names of their keypoints", () => {
   const toes = ["LKnee", "LAnkle", "LBigToe", "RKnee", "RAnkle", "RBigToe"];
   assert.deepEqual(namedAngles(toes, sidesOf(toes)), [{ joint: "ankle", left: [0, 1, 2], right: [3, 4, 5] }]);
   assert.deepEqual(namedAngles(["knee", "hip", "ankle"], [0, 0, 0]), []);
+});
+
+test("two edges that meet alone have an angle", () => {
+  const edges = [
+    [4, 2],
+    [0, 2],
+    [4, 5],
+    [4, 6],
+  ] as const; // at 4 three meet
+  assert.deepEqual(edgeAngles(edges), [[4, 2, 0]]);
+  assert.deepEqual(edgeAngles([]), []);
 });
 
 test("a click selects one, with Shift up to three", () => {

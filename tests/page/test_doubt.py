@@ -11,16 +11,39 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.page.conftest import Watched
 from tests.page.stored import NAMES, Stored
-from tests.page.test_closer import opened
+from tests.page.test_closer import knee_angles, opened
 from tests.service.conftest import Live
 from tests.waiting import wait_for
 
 
-def answers(live: Live, stored: Stored) -> dict[str, NDArray[Any]]:
+def answers(live: Live, stored: Stored, uncertainty: str = "sd") -> dict[str, NDArray[Any]]:
     """Return the arrays of the fit in the frame of reference that the page shows."""
-    url = f"/fits/{stored.fit}/reconstruction?frame=room&up=auto&format=npz"
+    url = (
+        f"/fits/{stored.fit}/reconstruction?frame=room&up=auto&format=npz&uncertainty={uncertainty}"
+    )
     with np.load(io.BytesIO(live.http.get(url).content)) as arrays:
         return dict(arrays)
+
+
+def knee_deviations(arrays: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """Return how far the left knee's angle may be off in each frame, in degrees.
+
+    By the whole covariance of a frame's points, and derivatives by steps.
+    """
+    points, modes = (np.float64(arrays[f"points3d{name}"]) for name in ("", "_modes"))
+    six = np.float64(arrays["points3d_covariance"])
+    frames, keypoints, _ = points.shape
+    own = six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(frames, keypoints, 3, 3)
+    shared = modes.reshape(frames, 3 * keypoints, -1)
+    whole = shared @ shared.mT
+    for p in range(keypoints):
+        at = slice(3 * p, 3 * p + 3)
+        whole[:, at, at] = own[:, p]
+    steps = 1e-5 * np.eye(3 * keypoints).reshape(-1, 1, keypoints, 3)
+    slopes = [(knee_angles(points + s) - knee_angles(points - s)) / 2e-5 for s in steps]
+    gradient = np.stack(slopes, axis=-1)
+    sds: NDArray[np.float64] = np.sqrt(np.einsum("ni,nij,nj->n", gradient, whole, gradient))
+    return sds
 
 
 def select(page: Page, *names: str) -> None:
@@ -66,6 +89,23 @@ def test_a_position_has_a_band_and_a_speed_has_none(
     expect(page.locator(".curves")).to_contain_text("No band: errors of neighbouring frames")
     names, _ = table(page)
     assert len(names) == 3
+
+
+def test_angles_and_lengths_have_deviations_by_what_points_share(
+    watched: Watched, live: Live, stored: Stored
+) -> None:
+    expected = knee_deviations(answers(live, stored, "full"))
+    page = opened(watched, stored)
+    page.get_by_label("Curve over time").select_option("Knee")
+    expect(page.locator(".curves")).to_contain_text("The band is one standard deviation")
+    names, rows = table(page)
+    sd = rows[:, names.index("left knee angle sd (degrees)")]
+    np.testing.assert_allclose(sd, expected, rtol=2e-3)
+
+    select(page, "l_hip", "l_knee")
+    expect(page.locator(".measured")).to_have_text(
+        re.compile(r"^l_hip . l_knee: [\d.]+ ± 0\.0*[1-9]\d \(unit of the known length\)$")
+    )
 
 
 def test_colours_show_errors_or_how_far_points_may_be_off_as_was_chosen_last(

@@ -14,9 +14,10 @@ import { Refusal } from "../api/http.ts";
 import type { CaptureFile } from "./capture.ts";
 import { createCorrected, type Corrected } from "./corrections.ts";
 import { createLoader, partsOf, structures, type Loader } from "./loader.ts";
+import type { Frame } from "./placing.ts";
 import { remoteCapture } from "./remote.ts";
 import { readSafetensors } from "./safetensors.ts";
-import { emptyTake, putDetected, putStructures, type Frame, type Take } from "./take.ts";
+import { emptyTake, putDetected, putStructures, type Take } from "./take.ts";
 import { needed } from "./tensor.ts";
 
 export interface Result {

@@ -1,7 +1,11 @@
 /** Turns points and cameras together, so that y points up and every point keeps its pixel. */
 
 import { WEAK } from "../science/projection.ts";
-import type { StructureArrays } from "./structures.ts";
+import type { StructureArrays, Structures } from "./structures.ts";
+
+/** `level`: y up, on the floor where feet are named. `camera`: the axes of the first static camera,
+ * turned so that y points up. `view`: each frame in the axes of the first view. */
+export type Frame = "level" | "camera" | "view";
 
 const FLIP = [1, -1, -1]; // from a camera's axes (y down, z forward) to those with y up
 
@@ -17,9 +21,7 @@ export function axesOfFirstView(take: StructureArrays): void {
   const { points, cameras, views, keypoints } = take;
   const { rotations, translations, models } = cameras;
   for (let frame = 0; frame < take.frames; frame++) {
-    const camera = Array.from({ length: views }, (_, view) => frame * views + view).find((which) =>
-      Number.isFinite(rotations[9 * which]),
-    );
+    const camera = firstCamera(take, frame);
     if (camera === undefined) continue;
     const turn = rotations.slice(9 * camera, 9 * camera + 9);
     const weak = models[camera] === WEAK;
@@ -33,6 +35,28 @@ export function axesOfFirstView(take: StructureArrays): void {
     }
     for (let view = 0; view < views; view++) turnView(take, frame * views + view, turn, shift);
   }
+}
+
+/** Returns how the points of a frame are turned to the axes in which a take is shown: (3, 3), row after row; null where
+ * they are not.
+ *
+ * @param structures as they came, not yet placed */
+export function turnOf(shown: Frame, structures: Structures, frame: number): number[] | null {
+  if (shown === "level") return null;
+  const upright = [0, 1, 2].flatMap((row) => [0, 1, 2].map((column) => (row === column ? FLIP[row]! : 0)));
+  if (shown === "camera") return upright;
+  const camera = firstCamera(structures, frame);
+  if (camera === undefined) return null;
+  const turn = structures.cameras.rotations.subarray(9 * camera, 9 * camera + 9);
+  return Array.from(turn, (value, at) => FLIP[Math.floor(at / 3)]! * value);
+}
+
+/** Returns the first camera of a frame that has a pose. */
+function firstCamera({ views, cameras }: Structures, frame: number): number | undefined {
+  for (let camera = frame * views; camera < (frame + 1) * views; camera++) {
+    if (Number.isFinite(cameras.rotations[9 * camera])) return camera;
+  }
+  return undefined;
 }
 
 /** Has a camera see the points where `X' = F (T X + s)` put them: `R' = R T^t F`, `t' = t - R T^t s`.

@@ -2,13 +2,9 @@
 
 import type { Numbers } from "../science/numbers.ts";
 import type { Capture } from "./capture.ts";
-import { axesOfFirstView, yPointsUp } from "./placing.ts";
+import { axesOfFirstView, yPointsUp, type Frame } from "./placing.ts";
 import type { CameraArrays, StructureArrays, Structures } from "./structures.ts";
 import { floats, needed, type Tensor } from "./tensor.ts";
-
-/** `level`: y up, on the floor where feet are named. `camera`: the axes of the first static camera,
- * turned so that y points up. `view`: each frame in the axes of the first view. */
-export type Frame = "level" | "camera" | "view";
 
 /** What there is of a frame so far. */
 export const NOTHING = 0;
@@ -108,7 +104,7 @@ export function putLifted(take: OpenTake, part: Lifted, first: number, step: num
   }
 }
 
-function structuresOf({ views, keypoints }: Take, file: Map<string, Tensor>): StructureArrays {
+export function structuresOf({ views, keypoints }: Take, file: Map<string, Tensor>): StructureArrays {
   const points = needed(file, "points3d");
   const models = file.get("camera_models");
   if (models === undefined) throw new Error("The reconstruction has no cameras.");

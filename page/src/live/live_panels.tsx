@@ -13,6 +13,7 @@ import { createPlayer } from "../result/player.ts";
 import type { Extent } from "../result/scene/parts.ts";
 import { useSelection } from "../result/selection.ts";
 import { ShownContext, type Shown } from "../result/show.ts";
+import { NO_COVARIANCES } from "../result/use_covariances.ts";
 import { StagePanel } from "../result/stage_panel.tsx";
 import { ViewPanel } from "../result/view_panel.tsx";
 import { frameFindings } from "../science/frame_findings.ts";
@@ -126,7 +127,7 @@ function useFeed(running: Running, setTrouble: (trouble: Trouble | null) => void
   useEffect(() => onThemeChange(() => setTheme(readTheme())), []);
   const lookThrough = (view: number | null) => setThrough(view === null || posed[view] ? view : null);
   const shown: Shown = {
-    ...{ unit, take: feed.take, player, loop, theme, posed, version: 0, done: false },
+    ...{ unit, take: feed.take, player, loop, theme, posed, version: 0, done: false, covariances: NO_COVARIANCES },
     ...selection,
     ...{ through, lookThrough, joined: null, editing: null },
   };

@@ -1,7 +1,8 @@
 /** Sends the frames of a stored capture as its cameras took them, again and again. */
 
 import type { CaptureFile } from "../data/capture.ts";
-import { emptyTake, putDetected, putLifted, type Frame, type OpenTake } from "../data/take.ts";
+import { emptyTake, putDetected, putLifted, type OpenTake } from "../data/take.ts";
+import type { Frame } from "../data/placing.ts";
 import { quantile } from "../science/worst.ts";
 import { noFigures, noteSecond, type Feed, type Listener } from "./feed.ts";
 import { openStream, type Start, type Stream } from "./stream.ts";

@@ -2,7 +2,8 @@
 
 import { getCameras, getDataset, getModel, type LiftStream } from "../api/resources.ts";
 import { numbered, type Capture } from "../data/capture.ts";
-import { emptyTake, NOTHING, putDetected, putLifted, type Frame } from "../data/take.ts";
+import { emptyTake, NOTHING, putDetected, putLifted } from "../data/take.ts";
+import type { Frame } from "../data/placing.ts";
 import { sidesOf } from "../science/sides.ts";
 import { unitOf } from "../result/unit.ts";
 import { connect, type Connection, type Trouble } from "./connection.ts";

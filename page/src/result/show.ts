@@ -12,6 +12,7 @@ import type { Editing } from "./correcting/use_editing.ts";
 import type { Loop } from "./loop.ts";
 import type { Player } from "./player.ts";
 import type { Selection } from "./selection.ts";
+import type { KnownCovariances } from "./use_covariances.ts";
 
 /** Edges that are drawn in the place of the skeleton's: some that are being drawn, or some that are offered. */
 export interface Joined {
@@ -29,6 +30,7 @@ export interface Shown extends Selection {
   posed: boolean[]; // views that have a perspective pose in some frame
   version: number; // of the take: it rises as frames come
   done: boolean; // whether all frames are there
+  covariances: KnownCovariances;
   joined: Joined | null; // null: the edges are those of the skeleton
   through: number | null; // view
   lookThrough(view: number | null): void;

@@ -9,7 +9,7 @@ import type { Stage } from "./scene/scene.ts";
 import { useShown } from "./show.ts";
 
 export function StageControls({ stage, children }: { stage: Stage | null; children?: ComponentChildren }) {
-  const { unit, take, version } = useShown();
+  const { unit, take, version, covariances } = useShown();
   const [doubt, setDoubt] = useKept("doubt-in-3d", "off");
   // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   const doubtKnown = useMemo(() => knowsDeviations(take), [take, version]);
@@ -20,7 +20,10 @@ export function StageControls({ stage, children }: { stage: Stage | null; childr
     setFollowing(stage?.walks ?? false);
   }, [stage]);
   useEffect(() => stage?.showTrails(trails), [stage, trails]);
-  useEffect(() => stage?.showDoubt(doubtKnown && doubt === "on", null), [stage, doubt, doubtKnown]);
+  const { known, ask } = covariances;
+  const doubtShown = doubtKnown && doubt === "on";
+  useEffect(() => (doubtShown ? ask() : undefined), [doubtShown, ask]);
+  useEffect(() => stage?.showDoubt(doubtShown, known), [stage, doubtShown, known]);
   useEffect(() => stage?.follow(following), [stage, following]);
   return (
     <div class="overlay bottom">

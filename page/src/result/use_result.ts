@@ -19,6 +19,7 @@ import type { Stage } from "./scene/scene.ts";
 import { useSelection } from "./selection.ts";
 import type { Joined, Overlay, Show } from "./show.ts";
 import { unitOf } from "./unit.ts";
+import { useCovariances } from "./use_covariances.ts";
 
 const WORST = 10; // frames that are marked
 const PAUSE_MS = 250; // between two drawings of what has come
@@ -50,6 +51,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
     // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
   }, [fit, take, version]);
   const { errors, errorsDone } = useKeypointErrors(result, done);
+  const covariances = useCovariances(fit.id, result);
   const editing = useEditing(fit, result, loop);
   const stageNow = useRef<Stage | null>(null);
   stageNow.current = stage;
@@ -85,6 +87,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
       errors,
       errorsDone,
       editing,
+      covariances,
     },
     ...selection,
     ...{ through, lookThrough, posed, overlay, setOverlay, joined, join, version, done, trouble },

@@ -15,6 +15,16 @@ export interface Covariances {
   readonly rank: number; // r
 }
 
+/** Returns those of one frame. */
+export function ofFrame({ covariance, modes, rank }: Covariances, keypoints: number, frame: number): Covariances {
+  const [six, many] = [6 * keypoints, 3 * keypoints * rank];
+  return {
+    covariance: covariance.subarray(frame * six, (frame + 1) * six),
+    modes: modes.subarray(frame * many, (frame + 1) * many),
+    rank,
+  };
+}
+
 type Vector = readonly [number, number, number];
 
 /** Derivatives of what is measured by one of its points. */

@@ -7,6 +7,7 @@ import { csvOf } from "../../parts/csv.ts";
 import { plusMinus } from "../../parts/format.ts";
 import { Icon } from "../../parts/icons.tsx";
 import { useShow } from "../show.ts";
+import type { KnownCovariances } from "../use_covariances.ts";
 import { curveGroups, type Curves } from "./curve_choice.ts";
 import { Pane, type Line } from "./pane.tsx";
 
@@ -43,15 +44,18 @@ export function CurvePanel() {
 }
 
 function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }) {
-  const { fit, take, player, loop, version, done } = useShow();
+  const { fit, take, player, loop, version, done, covariances } = useShow();
   const { series, unit } = curves;
+  const { known, coming, ask } = covariances;
+  const banded = series.some(({ deviations }) => deviations !== null);
+  useEffect(() => (banded ? ask() : undefined), [banded, ask]);
   const lines = useMemo(
     () =>
       series.map(({ name, colour, values, deviations }): Line => {
-        return { name, colour, values: values(), deviations: deviations?.(null) ?? null };
+        return { name, colour, values: values(), deviations: deviations?.(known) ?? null };
       }),
     // eslint-disable-next-line react-hooks/exhaustive-deps -- the version is of what the take's arrays hold
-    [series, version],
+    [series, version, known],
   );
   const frames = useMemo(() => Float64Array.from({ length: take.frames }, (_, frame) => frame), [take]);
   const legend = useRef<HTMLUListElement>(null);
@@ -60,10 +64,12 @@ function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }
       loop.add(() => {
         lines.forEach(({ values, deviations }, index) => {
           const place = legend.current?.children[index]?.querySelector("output");
-          if (place) place.textContent = plusMinus(values[player.frame], deviations?.[player.frame]);
+          if (!place) return;
+          const sign = unit === "degrees" ? "°" : "";
+          place.textContent = plusMinus(values[player.frame], deviations?.[player.frame], sign);
         });
       }),
-    [loop, player, lines],
+    [loop, player, lines, unit],
   );
   const save = () => {
     const seconds = times === null ? [] : [{ name: "seconds", values: times }];
@@ -95,13 +101,17 @@ function Drawn({ curves, times }: { curves: Curves; times: Float64Array | null }
           </li>
         ))}
         <li class="last">
-          <button onClick={save} disabled={!done} title={done ? "" : "not all frames have come yet"}>
+          <button
+            onClick={save}
+            disabled={!done || coming}
+            title={done && !coming ? "" : "not all numbers have come yet"}
+          >
             <Icon name="save" /> CSV of the curve
           </button>
         </li>
       </ul>
       {!done && <p class="quiet">The curve fills as frames come.</p>}
-      <p class="quiet">{aboutBand(curves, lines)}</p>
+      <p class="quiet">{aboutBand(curves, lines, covariances)}</p>
       {take.frame === "view" && unit !== "degrees" && (
         <p class="quiet">No camera is known to be static: each frame is in the axes of its first view.</p>
       )}
@@ -113,10 +123,11 @@ function isKnown(deviations: Float64Array | null): deviations is Float64Array {
   return deviations?.some(Number.isFinite) ?? false;
 }
 
-function aboutBand({ id }: Curves, lines: Line[]): string {
+function aboutBand({ id }: Curves, lines: Line[], { coming, trouble }: KnownCovariances): string {
   if (lines.some(({ deviations }) => isKnown(deviations))) {
     return "The band is one standard deviation to either side: how far this may be off.";
   }
   if (id === "speed") return "No band: errors of neighbouring frames are alike, so that of a speed is not known.";
-  return "No band: how far this may be off is not known.";
+  if (coming) return "How far this may be off is being computed …";
+  return `No band: how far this may be off is not known. ${trouble ?? ""}`;
 }
