@@ -1,5 +1,6 @@
 /** Covariances of the points of a take, placed as its points are. The service computes them when they are asked for. */
 
+import { Refusal } from "../api/http.ts";
 import { getReconstruction } from "../api/resources.ts";
 import type { Covariances } from "../science/covariances.ts";
 import { turnOf } from "./placing.ts";
@@ -7,11 +8,18 @@ import { readSafetensors } from "./safetensors.ts";
 import { structuresOf, type Take } from "./take.ts";
 import { floats, type Tensor } from "./tensor.ts";
 
-/** Fetches covariances of all frames of a fit; null where it has none.
+const TOO_LONG = "The capture is longer than the service computes it for at once.";
+
+/** Fetches covariances of all frames of a fit; null where it has none. Throws where they are more than the service
+ * sends.
  *
  * @param query of the frame of reference */
 export async function loadCovariances(fit: string, take: Take, query: string): Promise<Covariances | null> {
-  return readCovariances(take, readSafetensors(await getReconstruction(fit, `${query}&uncertainty=full`)));
+  try {
+    return readCovariances(take, readSafetensors(await getReconstruction(fit, `${query}&uncertainty=full`)));
+  } catch (error) {
+    throw error instanceof Refusal && error.status === 422 ? new Error(TOO_LONG) : error;
+  }
 }
 
 /** Reads covariances of all frames from a reconstruction. */
