@@ -122,7 +122,7 @@ def knee_angles(points: NDArray[Any]) -> NDArray[np.float64]:
 
 def shows_angle(place: Locator, degrees: float) -> bool:
     """Return whether a place has an angle, to the digits of its standard deviation."""
-    shown = re.search(r"([\d.]+)° ± [\d.]+°", place.inner_text())
+    shown = re.search(r"([\d.]+)°\s±\s[\d.]+°", place.inner_text())
     return shown is not None and abs(float(shown[1]) - degrees) < 0.06
 
 

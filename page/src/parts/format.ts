@@ -2,6 +2,7 @@
 
 const PLAIN = new Intl.NumberFormat("en", { maximumSignificantDigits: 6 });
 const MOST_DECIMALS = 6;
+const PLUS_MINUS = "\u00a0±\u00a0"; // which no line breaks at
 
 export function number(value: number | null | undefined, digits = 3): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
@@ -16,7 +17,7 @@ export function number(value: number | null | undefined, digits = 3): string {
 export function plusMinus(value = NaN, deviation = NaN, unit = ""): string {
   if (!Number.isFinite(value) || !Number.isFinite(deviation) || deviation <= 0) return `${number(value)}${unit}`;
   const decimals = Math.min(MOST_DECIMALS, Math.max(0, 1 - Math.floor(Math.log10(deviation))));
-  return `${value.toFixed(decimals)}${unit} ± ${deviation.toFixed(decimals)}${unit}`;
+  return `${value.toFixed(decimals)}${unit}${PLUS_MINUS}${deviation.toFixed(decimals)}${unit}`;
 }
 
 export function pixels(value: number | null | undefined): string {

@@ -29,6 +29,7 @@ export function StageControls({ stage, children }: { stage: Stage | null; childr
     <div class="overlay bottom">
       <span class="scale quiet">
         <i aria-hidden="true" /> square {stage === null ? "" : number(stage.square, 2)} · {unit}
+        {doubtShown && " · hulls hold 68 %"}
       </span>
       <span class="buttons">
         {children}

@@ -144,10 +144,10 @@ test("a legend offers what views show; a cell of the heat map has its meaning in
 });
 
 test("deviations decide how many digits are shown", () => {
-  assert.equal(plusMinus(1.23456, 0.01234), "1.235 ± 0.012");
-  assert.equal(plusMinus(152.3456, 2.1, "°"), "152.3° ± 2.1°");
-  assert.equal(plusMinus(0.5, 0.096), "0.500 ± 0.096");
-  assert.equal(plusMinus(152.3456, 31), "152 ± 31");
+  assert.equal(plusMinus(1.23456, 0.01234), "1.235\u00a0±\u00a00.012");
+  assert.equal(plusMinus(152.3456, 2.1, "°"), "152.3°\u00a0±\u00a02.1°");
+  assert.equal(plusMinus(0.5, 0.096), "0.500\u00a0±\u00a00.096");
+  assert.equal(plusMinus(152.3456, 31), "152\u00a0±\u00a031");
   assert.equal(plusMinus(152.3456, NaN, "°"), "152°");
   assert.equal(plusMinus(NaN, 1), "–");
 });
