@@ -30,8 +30,9 @@ def knee_deviations(arrays: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
 
     By the whole covariance of a frame's points, and derivatives by steps.
     """
-    points, modes = (np.float64(arrays[f"points3d{name}"]) for name in ("", "_modes"))
-    six = np.float64(arrays["points3d_covariance"])
+    double = {name: array.astype(np.float64) for name, array in arrays.items() if "3d" in name}
+    points, modes = double["points3d"], double["points3d_modes"]
+    six = double["points3d_covariance"]
     frames, keypoints, _ = points.shape
     own = six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(frames, keypoints, 3, 3)
     shared = modes.reshape(frames, 3 * keypoints, -1)
