@@ -17,7 +17,8 @@ export function Measured() {
       loop.add(() => {
         if (text.current === null) return;
         const words = measured(take, known, nearest(take, player.frame), selected, unit);
-        text.current.textContent = coming && selected.length > 1 ? `${words} ± …` : words;
+        text.current.textContent =
+          coming && selected.length > 1 ? `${words}. How far this may be off is being computed …` : words;
       }),
     [loop, player, take, unit, selected, version, known, coming],
   );
