@@ -1,9 +1,12 @@
 """How far the points of a lift may be off."""
 
+import numpy as np
+
 from models.bundle.problem import Rig
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import ObservedFrames
 from models.posterior.posterior import Posterior, unknown_uncertainty
+from models.posterior.quality import FIGURES, NO_EVIDENCE, quality_of
 
 
 def with_deviations(
@@ -25,7 +28,12 @@ def with_deviations(
         seen, views = observed.observations, observed.views
         removed = observed.detected, observed.smoothed
         found = posterior.uncertainty(lift, rig, views, seen, *removed, modes=modes)
+    usual = np.zeros(FIGURES) if posterior is None else posterior.usual
+    quality, reasons = quality_of(found.figures, usual)
+    nothing = np.isnan(lift.points3d).all((1, 2))
     return lift._replace(
+        quality=np.where(nothing, np.float32(0), quality),
+        quality_reason=np.where(nothing, np.uint8(NO_EVIDENCE), reasons),
         points3d_sd=found.sds,
         points3d_covariance=found.covariances,
         points3d_modes=found.modes,

@@ -45,6 +45,8 @@ class Answers(NamedTuple):
     # and modes U, which carry what points share.
     points3d_covariance: Float32  # (N, P, 6) xx, xy, xz, yy, yz, zz
     points3d_modes: Float32  # (N, P, 3, MODES)
+    quality: Float32  # (N,) in [0, 1], 0 without a structure, NaN where it is not known
+    quality_reason: NDArray[np.uint8]  # (N,) 0 for none; see `models.posterior.quality.REASONS`
     findings: NDArray[np.uint8]  # (N,) sums of the bits below this class
     continued: NDArray[np.bool_]  # (N,) whether refinement started from the previous answer
     # The figures behind the findings:
@@ -89,6 +91,8 @@ def make_answers(frames: int, views: int, keypoints: int) -> Answers:
         points3d_sd=np.full((frames, keypoints), np.nan, np.float32),
         points3d_covariance=np.empty((frames, keypoints, 0), np.float32),
         points3d_modes=np.empty((frames, keypoints, 3, 0), np.float32),
+        quality=np.full(frames, np.nan, np.float32),
+        quality_reason=np.zeros(frames, np.uint8),
         findings=np.empty(frames, np.uint8),
         continued=np.empty(frames, np.bool_),
         sizes=np.empty(frames, np.float32),

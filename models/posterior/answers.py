@@ -19,6 +19,7 @@ Float64 = NDArray[np.float64]
 # Student's t: a keypoint that lies further off than most counts less. None counts for more than
 # one of white noise.
 FREEDOM = 4.0
+FURTHEST = 50.0  # squared distance that a keypoint counts for in the misfit of its frame
 STEP = 1e-5  # of the largest coordinate, for differences of pixels
 TINY = 1e-12
 
@@ -90,6 +91,7 @@ def make_frames(keypoints: Float64, rig: Rig) -> Frames:
         keypoints,
         np.empty((count, views, points)),
         np.empty((count, 3, 3)),
+        np.zeros(count),
         np.ones((count, points)),
     )
 
@@ -125,29 +127,36 @@ def fill_frames(
                 for j in range(3):
                     out.rotations[m, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
         out.growth[m] = _growth(out.rotations[m], out.translations[m], out.joined[m], rig)
+        used = 0
         for k in range(views):
             for i in range(3):
                 out.offsets[m, k, i] = out.growth[m] * rig.translations[k, i]
             for p in range(count):
                 w = given[m, k, p] / noise[k, p] ** 2
-                out.weights[m, k, p] = _weight(out, m, k, p, w) if w > 0 else 0.0
+                squared = _squared_distance(out, m, k, p, w) if w > 0 else np.inf
+                robust = min((FREEDOM + 2) / (FREEDOM + squared), 1.0)
+                out.weights[m, k, p] = w * robust if squared < np.inf else 0.0
+                if squared < np.inf:
+                    out.misfits[m] += min(squared, FURTHEST) / 2
+                    used += 1
+        out.misfits[m] = out.misfits[m] / used if used else np.nan
         _turn_into(out.points[m], mean, out.turned[m])
 
 
 @inner
-def _weight(frames: Frames, n: int, k: int, p: int, weight: float) -> float:
-    """Return the weight of a keypoint, less where it lies far off; 0 without a camera."""
+def _squared_distance(frames: Frames, n: int, k: int, p: int, weight: float) -> float:
+    """Return the squared distance of a keypoint times its weight; infinite without a camera."""
     camera, pixel = np.empty(3), np.empty(2)
     for i in range(3):
         camera[i] = frames.translations[n, k, i]
         for j in range(3):
             camera[i] += frames.rotations[n, k, i, j] * frames.points[n, p, j]
     if not camera[2] > 0:
-        return 0.0
+        return math.inf
     project_into(camera, frames.lenses, k, pixel)
     x, y = frames.keypoints[n, k, p, 0] - pixel[0], frames.keypoints[n, k, p, 1] - pixel[1]
-    robust: float = min((FREEDOM + 2) / (FREEDOM + weight * (x * x + y * y)), 1.0)
-    return weight * robust
+    squared: float = weight * (x * x + y * y)
+    return squared
 
 
 @inner

@@ -19,6 +19,7 @@ from models.posterior.frames import (
     make_covariances,
     write_covariances,
 )
+from models.posterior.quality import factor_of_shapes, write_figures
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -33,6 +34,7 @@ class Uncertainty(NamedTuple):
     sds: Float32  # (N, P)
     covariances: Float32  # (N, P, 6), or (N, P, 0) if they are not wanted
     modes: Float32  # (N, P, 3, MODES), or (N, P, 3, 0)
+    figures: Float64  # (N, 3) of `models.posterior.quality`
 
 
 class Noise(NamedTuple):
@@ -66,7 +68,7 @@ def write_deviations(
     """
     some, views = stop - start, len(noise.deviations)
     frames = frames_as_detected(answers, rig, seen, detected, smoothed, shapes, noise, start, stop)
-    full = out.covariances.shape[2] > 0
+    full, of_shapes = out.covariances.shape[2] > 0, factor_of_shapes(shapes)
     found = make_covariances(some, shapes, factor, full)
     write_covariances(frames, shapes, factor, 0, some, found)
     for n in range(start, stop):
@@ -75,6 +77,7 @@ def write_deviations(
             placed = placed or answers.camera_models[n, k] > 0
         if placed and math.isfinite(found.blocks[n - start, 0, 0, 0]):
             _write(found, n - start, full, n, out)
+            write_figures(frames, n - start, shapes, of_shapes, out.sds[n], out.figures[n])
 
 
 @compiled

@@ -49,6 +49,7 @@ class Frames(NamedTuple):
     keypoints: Float64  # (N, K, P, 2) pixels
     weights: Float64  # (N, K, P) inverse variances, 0 where a keypoint is not used
     turned: Float64  # (N, 3, 3) scale times rotation, from the shapes' mean to the answer
+    misfits: Float64  # (N,) mean squared distance of keypoints, over their variance
     corrections: Float64  # (N, P) of the deviations that a frame leaves with known cameras
 
 

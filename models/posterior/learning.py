@@ -15,6 +15,7 @@ from models.network.answers import Answers
 from models.posterior.answers import derivatives_of, frames_of, reprojected
 from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
 from models.posterior.posterior import Posterior
+from models.posterior.quality import FIGURES
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -82,7 +83,12 @@ def learn_posterior(
     frames = frames_of(answers, rig, shapes.mean, keypoints, weights, noise)
     factor = _that_matters(frames, shapes, camera_factor(frames, shapes, rig, deviations))
     return Posterior(
-        *shapes, noise, factor, np.array(shares_left), np.ones((2, weights.shape[1] + 1))
+        *shapes,
+        noise,
+        factor,
+        np.array(shares_left),
+        np.ones((2, weights.shape[1] + 1)),
+        np.zeros(FIGURES),
     )
 
 

@@ -13,6 +13,7 @@ from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensor
 from models.numerics.threads import in_slices
 from models.posterior.deviations import Noise, Uncertainty, write_deviations
 from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
+from models.posterior.quality import FIGURES
 from models.settings.uncertainty import MODES, SYMMETRIC
 
 Bool = NDArray[np.bool_]
@@ -34,6 +35,8 @@ class Posterior(NamedTuple):
     # In keypoints of the fit's views, as in `Noise`:
     left: Float64  # (2,)
     corrections: Float64  # (2, K + 1)
+    # (3,) medians of the frames' figures, as in `models.posterior.quality`; 0 if not known
+    usual: Float64
 
     def uncertainty(
         self,
@@ -114,7 +117,7 @@ class Posterior(NamedTuple):
         }
         if kind != POSTERIOR_KIND:
             return shapes | {"left": (1,)}
-        return shapes | {"left": (2,), "corrections": (2, None)}
+        return shapes | {"left": (2,), "corrections": (2, None), "usual": (FIGURES,)}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "Posterior":
@@ -131,6 +134,7 @@ class Posterior(NamedTuple):
         if "corrections" not in numbers:
             numbers["left"] = np.repeat(numbers["left"], 2)
             numbers["corrections"] = np.ones((2, len(numbers["noise"]) + 1))
+            numbers["usual"] = np.zeros(FIGURES)
         found = cls(**numbers)
         positive = (found.variances, found.noise, found.left, found.corrections)
         agree = (
@@ -139,6 +143,7 @@ class Posterior(NamedTuple):
             and found.basis.shape[2] <= MOST_COMPONENTS
             and found.factor.shape[2] <= MOST_FACTORS
             and all((array > 0).all() for array in positive)
+            and bool((found.usual >= 0).all())
         )
         if not agree:
             raise WeightsError("the file contradicts itself about its posterior")
@@ -152,4 +157,5 @@ def unknown_uncertainty(frames: int, keypoints: int, *, modes: bool) -> Uncertai
         np.full((frames, keypoints), np.nan, np.float32),
         np.full((frames, keypoints, columns[0]), np.nan, np.float32),
         np.full((frames, keypoints, 3, columns[1]), np.nan, np.float32),
+        np.full((frames, FIGURES), np.nan),
     )

@@ -12,6 +12,8 @@ from models.calibrating.result import SelfCalibration
 from models.capture.observations import Observations, pixels_of
 from models.findings.advice import attempt
 from models.lifting.fitted_prior import FittedPrior
+from models.lifting.lift import LiftedFrames
+from models.lifting.observing import ObservedFrames
 from models.posterior.deviations import frames_as_detected
 from models.posterior.frames import Frames
 from models.posterior.learning import learn_posterior
@@ -93,7 +95,10 @@ def with_posterior(
         in_time = attempt(_response, uncorrected, lifts, detected.frames(middle), times[middle])
     corrections = np.stack((alone, in_time))
     corrections[:, :2] = hidden
-    return prior.with_posterior(posterior._replace(corrections=corrections))
+    posterior = posterior._replace(corrections=corrections)
+    lifts = lifts._replace(posterior=posterior)
+    usual = attempt(_usual, posterior.usual, lifts, detected.frames(_some(every, count)))
+    return prior.with_posterior(posterior._replace(usual=usual))
 
 
 def _some(frames: Int64, count: int) -> Bool:
@@ -111,13 +116,10 @@ class _Lifts(NamedTuple):
     posterior: Posterior
     rig: Rig
 
-    def frames(
+    def lift(
         self, pixels: Float64, weights: Float32, times: Float64 | None
-    ) -> tuple[Frames, Bool]:
-        """Lift keypoints (N, K, P, 2) and confidences (N, K, P) of those that the prior knows.
-
-        Returns which frames have a perspective camera; others are any numbers.
-        """
+    ) -> tuple[LiftedFrames, ObservedFrames]:
+        """Lift keypoints (N, K, P, 2) and confidences (N, K, P) of those that the prior knows."""
         known = self.prior.capture.known
         confidence = np.zeros((*weights.shape[:2], len(known)))
         keypoints = np.full((*confidence.shape, 2), np.nan)
@@ -125,22 +127,41 @@ class _Lifts(NamedTuple):
         confidence[:, :, known] = weights
         observed = self.prior.observe(keypoints, confidence=confidence, times=times)
         lift = self.prior.lift_observed(observed, refine="full", uncertainty="off")
-        lift = lift.of_keypoints(known)
+        return lift.of_keypoints(known), observed
+
+    def frames(
+        self, pixels: Float64, weights: Float32, times: Float64 | None
+    ) -> tuple[Frames, Bool]:
+        """Lift the same; return the frames, and which of them have a perspective camera.
+
+        Others are any numbers.
+        """
+        lift, observed = self.lift(pixels, weights, times)
         there: Bool = np.all(np.isfinite(lift.points3d), axis=(1, 2))
         there &= np.any(lift.camera_models > 0, axis=1)
-        views = weights.shape[1]
         frames = frames_as_detected(
             lift._replace(points3d=np.where(there[:, None, None], lift.points3d, 0)),
             self.rig,
-            observed.observations,
-            observed.detected,
-            observed.smoothed,
+            *_as_seen(observed),
             self.posterior.shapes,
-            self.posterior.noise_of(range(views), views),
+            self.posterior.noise_of(observed.views, weights.shape[1]),
             0,
             len(there),
         )
         return frames, there
+
+
+def _as_seen(observed: ObservedFrames) -> tuple[Observations, Float32, Bool]:
+    return observed.observations, observed.detected, observed.smoothed
+
+
+def _usual(lifts: _Lifts, detected: Observations) -> Float64:
+    """Return the median figures (3,) of the frames."""
+    lift, observed = lifts.lift(pixels_of(detected)[0], detected.weights, None)
+    found = lifts.posterior.uncertainty(
+        lift, lifts.rig, observed.views, *_as_seen(observed), modes=False
+    )
+    return np.asarray(np.nanmedian(found.figures, 0))
 
 
 def _response(lifts: _Lifts, detected: Observations, times: Float64 | None) -> Float64:

@@ -163,12 +163,14 @@ def test_files_without_corrections_are_read() -> None:
     arrays = dict(load(data))
     arrays["posterior.left"] = arrays["posterior.left"][:1]
     corrections = arrays.pop("posterior.corrections")
+    del arrays["posterior.usual"]
     header = data[8 : 8 + int.from_bytes(data[:8], "little")]
     about = json.loads(json.loads(header)["__metadata__"]["fewview"]) | {"posterior": "yes"}
     older = FittedPrior.from_bytes(save(arrays, {"fewview": json.dumps(about)}))
     keypoints = capture().keypoints[LATER]
     ratios = prior().lift(keypoints).points3d_sd / older.lift(keypoints).points3d_sd
     assert 0.9 * corrections[0, 3] < np.median(ratios) < 1.1  # that of the cameras stays
+    assert np.isnan(older.lift(keypoints).quality).all()
 
 
 @pytest.mark.parametrize("name", ["noise", "variances", "left", "corrections"])

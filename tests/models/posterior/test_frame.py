@@ -114,6 +114,7 @@ class Case:
             self.keypoints[None],
             self.weights[None],
             self.turned[None],
+            np.zeros(1),
             np.ones((1, POINTS)),
         )
 

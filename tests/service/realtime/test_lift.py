@@ -293,6 +293,8 @@ def test_every_kind_of_camera_on_the_wire() -> None:
         points3d_sd=np.array([[0.25, np.nan, 0.001, 1, 0.5]], np.float32),
         keypoints_seen=np.array([[3, 2, 0, 1, 3]], np.uint8),
         outlier_probability=np.array([[[np.nan, 0.25, 0, 1, 0.001]] * 4], np.float32),
+        quality=np.array([0.25], np.float32),
+        quality_reason=np.array([2], np.uint8),
         findings=np.array([5], np.uint8),
         continued=np.zeros(1, np.bool_),
         sizes=np.ones(1, np.float32),

@@ -1,0 +1,94 @@
+"""How far a frame may be relied on, against the frames of the fit.
+
+Three figures of a frame are compared with their medians in the fit: how large the deviations of its
+points are, how far its keypoints lie from where its cameras see these points, and how unlike the
+shapes of the fit its structure is.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.numerics.compiled import inner
+from models.numerics.matrices import cholesky, cholesky_solve
+from models.posterior.frames import Frames, LearntShapes
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+UInt8 = NDArray[np.uint8]
+
+Reason = Literal["little_evidence", "views_disagree", "unlike_fit", "no_evidence"]
+REASONS: tuple[Reason, ...] = ("little_evidence", "views_disagree", "unlike_fit", "no_evidence")
+NO_EVIDENCE = len(REASONS)  # as in `quality_of`: 0 is no reason
+DOUBTFUL = 0.5  # a quality below this has a reason
+FIGURES = 3
+
+
+def quality_of(figures: Float64, usual: Float64) -> tuple[Float32, UInt8]:
+    """Return the quality (N,) of frames in [0, 1] and the place of its reason in `REASONS`, from 1.
+
+    A frame whose figures are at most the usual ones has quality 1. Else it is the root of the
+    product of the usual figures over its own, as far as they are larger. NaN where a figure is.
+
+    Parameters
+    ----------
+    figures, usual
+        (N, 3), and (3,) medians in the fit, 0 if they are not known.
+    """
+    excess = np.maximum(figures / np.where(usual > 0, usual, np.nan), 1.0)
+    quality = 1 / np.sqrt(excess.prod(1))
+    known = np.isfinite(quality)
+    worst = np.where(known[:, None], excess, 1.0).argmax(1) + 1
+    reasons = np.where(known & (quality < DOUBTFUL), worst, 0)
+    return quality.astype(np.float32), reasons.astype(np.uint8)
+
+
+@inner
+def write_figures(
+    frames: Frames, n: int, shapes: LearntShapes, factor: Float64, sds: Float32, out: Float64
+) -> None:
+    """Write the figures (3,) of a frame; `factor` is that of `factor_of_shapes`, `sds` are (P,)."""
+    points, turned = frames.points[n], frames.turned[n]
+    count, _, size = shapes.basis.shape
+    centre, middle, scaled = np.zeros(3), np.zeros(3), 0.0
+    for p in range(count):
+        for i in range(3):
+            centre[i] += points[p, i] / count
+            middle[i] += shapes.mean[p, i] / count
+    for i in range(3):
+        for j in range(3):
+            scaled += turned[i, j] ** 2 / 3
+    squared, variance, unlike, along = 0.0, 0.0, 0.0, np.zeros(size)
+    for p in range(count):
+        variance += sds[p] ** 2
+        for i in range(3):
+            squared += (points[p, i] - centre[i]) ** 2
+            off = middle[i] - shapes.mean[p, i]
+            for j in range(3):
+                off += turned[j, i] * (points[p, j] - centre[j]) / scaled
+            unlike += off * off / shapes.variances[p]
+            for q in range(size):
+                along[q] += shapes.basis[p, i, q] * off / shapes.variances[p]
+    explained = along.copy()
+    cholesky_solve(factor, explained)
+    for q in range(size):
+        unlike -= along[q] * explained[q]
+    out[0] = np.sqrt(variance / squared) if squared > 0 else np.nan
+    out[1] = frames.misfits[n]
+    out[2] = unlike / (3 * count)
+
+
+@inner
+def factor_of_shapes(shapes: LearntShapes) -> Float64:
+    """Return the Cholesky factor (Q, Q) of I + B^T B / eta^2, the information on z."""
+    count, _, size = shapes.basis.shape
+    factor = np.eye(size)
+    for p in range(count):
+        for i in range(3):
+            for q in range(size):
+                for r in range(q + 1):
+                    product = shapes.basis[p, i, q] * shapes.basis[p, i, r]
+                    factor[q, r] += product / shapes.variances[p]
+    cholesky(factor)
+    return factor
