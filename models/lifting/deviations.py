@@ -8,6 +8,8 @@ from models.lifting.observing import ObservedFrames
 from models.posterior.posterior import Posterior, unknown_uncertainty
 from models.posterior.quality import FIGURES, NO_EVIDENCE, quality_of
 
+FURTHEST = 2.0  # root-mean-square radii of the structure: half of a person's height
+
 
 def with_deviations(
     lift: LiftedFrames,
@@ -19,7 +21,8 @@ def with_deviations(
 ) -> LiftedFrames:
     """Return a lift with the deviations of its points; `rig` is that of its views.
 
-    Covariances are part of it if `modes` are asked for. All are NaN without a posterior, and
+    A point that may be off by more than half of the subject's size is none. Covariances are part of
+    the answer if `modes` are asked for. All are NaN without a posterior, and
     without a rig, for then nothing was refined.
     """
     if posterior is None or rig is None:
@@ -31,10 +34,12 @@ def with_deviations(
     usual = np.zeros(FIGURES) if posterior is None else posterior.usual
     quality, reasons = quality_of(found.figures, usual)
     nothing = np.isnan(lift.points3d).all((1, 2))
-    return lift._replace(
+    known = lift._replace(
         quality=np.where(nothing, np.float32(0), quality),
         quality_reason=np.where(nothing, np.uint8(NO_EVIDENCE), reasons),
         points3d_sd=found.sds,
         points3d_covariance=found.covariances,
         points3d_modes=found.modes,
     )
+    radii = np.sqrt(np.square(lift.points3d).sum(-1).mean(1))  # points are centred
+    return known.without_points(found.sds > FURTHEST * radii[:, None])

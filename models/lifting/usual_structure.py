@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.metrics import procrustes_by_size
+from models.lifting.deviations import FURTHEST
 from models.lifting.lift import LiftedFrames
 from models.settings.keypoints import MIN_KEYPOINTS
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-FURTHEST = 2.0  # root-mean-square radii of the structure: half of a person's height
 ROUNDS = 3  # of aligning frames to what is learnt of them
 
 
