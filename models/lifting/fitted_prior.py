@@ -72,9 +72,9 @@ class FittedPrior:
         self._outliers = outliers
         self._skeleton = skeleton
         self._structures = structures
-        self._posterior = posterior
+        self.posterior = posterior
         self.cameras = None if self_calibration is None else camera_report(self_calibration)
-        self._self_calibration = self_calibration
+        self.self_calibration = self_calibration
         self.curve = curve
         self.foreshortening = foreshortening
         self._arrays = arrays
@@ -107,7 +107,7 @@ class FittedPrior:
             self._arrays,
             self.curve,
             self.foreshortening,
-            self._self_calibration,
+            self.self_calibration,
             noise_removal,
             capture,
             outliers,
@@ -118,18 +118,18 @@ class FittedPrior:
     def with_posterior(self, posterior: Posterior) -> "FittedPrior":
         """Return the same prior that knows how far its answers may be off."""
         knowing = copy(self)
-        knowing._posterior = posterior
+        knowing.posterior = posterior
         return knowing
 
     @property
     def noise(self) -> float:
         """Standard deviation of a coordinate in pixels; NaN if no cameras were estimated."""
-        return math.nan if self._self_calibration is None else self._self_calibration.noise
+        return math.nan if self.self_calibration is None else self.self_calibration.noise
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The findings of the keypoints and, if cameras were estimated, of the cameras."""
-        found = self._self_calibration
+        found = self.self_calibration
         return (*self.capture.findings, *(() if found is None else found.findings))
 
     @property
@@ -155,7 +155,7 @@ class FittedPrior:
     @property
     def settling(self) -> SettlingPolicy:
         """Which frames of a lift are settled after the network."""
-        found = self._self_calibration
+        found = self.self_calibration
         return SETTLE_ALL if found is None else found.settling
 
     @property
@@ -293,7 +293,7 @@ class FittedPrior:
         if uncertainty != "off":
             rig = None if lifter.refiner is None else lifter.refiner.rig
             full = uncertainty == "full"
-            lift = with_deviations(lift, self._posterior, rig, observed, modes=full)
+            lift = with_deviations(lift, self.posterior, rig, observed, modes=full)
         lift = without_unlikely(lift, self.capture.structure)
         return lift.among(self.capture.known)
 
@@ -311,8 +311,8 @@ class FittedPrior:
         }
         denoiser, motion = self._noise_removal
         parts: dict[str, tuple[str, Arrays]] = {}
-        if self._self_calibration is not None:
-            cameras, words = to_arrays(self._self_calibration)
+        if self.self_calibration is not None:
+            cameras, words = to_arrays(self.self_calibration)
             parts["cameras"] = words, cameras
         others = {
             "denoiser": (DENOISER_KIND, denoiser),
@@ -320,7 +320,7 @@ class FittedPrior:
             "outliers": (OUTLIERS_KIND, self._outliers),
             "skeleton": ("yes", self._skeleton),
             "structures": ("yes", self._structures),
-            "posterior": (POSTERIOR_KIND, self._posterior),
+            "posterior": (POSTERIOR_KIND, self.posterior),
         }
         for name, (kind, other) in others.items():
             if other is not None:

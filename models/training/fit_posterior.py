@@ -69,7 +69,6 @@ def posterior_of(
 def with_posterior(
     prior: FittedPrior,
     posterior: Posterior | None,
-    rig: Rig | None,
     detected: Observations,
     times: Float64 | None,
     held_out: Int64,
@@ -79,9 +78,9 @@ def with_posterior(
     `detected` are the keypoints of the fit, with no noise removed, and `times` (N,) or (N, K) those
     of its frames, in seconds. The network did not learn from frames `held_out`.
     """
-    if posterior is None or rig is None:
+    if posterior is None or prior.self_calibration is None:
         return prior
-    lifts = _Lifts(prior, posterior, rig)
+    lifts = _Lifts(prior, posterior, prior.self_calibration.rig)
     count, uncorrected = len(detected.weights), posterior.corrections[0]
     every = np.arange(count)
     unseen = held_out if len(held_out) >= FEWEST_UNSEEN else every

@@ -210,9 +210,8 @@ class Trainer:
             capture = capture._replace(findings=(*capture.findings, missing))
         learnt = prior.of_capture(self.config, capture, self._seen.outliers, self._removal)
         posterior = attempt(self._teaching.posterior, None, self._removal.shares_left)
-        found = self._teaching.self_calibration
         seen = self._seen.detected, self._times, self._held_out
-        return with_posterior(learnt, posterior, None if found is None else found.rig, *seen)
+        return with_posterior(learnt, posterior, *seen)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to continue, as safetensors bytes."""

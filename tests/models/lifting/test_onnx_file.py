@@ -40,7 +40,7 @@ def untrained(config: FitConfig, foreshortening: float, known: int) -> FittedPri
 def fitted(foreshortening: float, settling: SettlingPolicy) -> FittedPrior:
     """Return a fitted prior with another foreshortening and policy of settling."""
     prior = FittedPrior.from_bytes((FIXTURES / "resting.safetensors").read_bytes())
-    found = prior._self_calibration
+    found = prior.self_calibration
     assert found is not None
     return FittedPrior(
         prior.config,

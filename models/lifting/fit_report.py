@@ -1,0 +1,222 @@
+"""What a fit may be relied on for: errors to expect, and what would lessen them most."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from models.lifting.fitted_prior import FittedPrior
+from models.lifting.frame_refinement import sub_rig
+from models.lifting.lift import LiftedFrames
+from models.posterior.deviations import frames_as_detected
+from models.posterior.quality import REASONS
+from models.posterior.views_worth import (
+    Direction,
+    Place,
+    directions_of,
+    expected_error,
+    worth_of_places,
+    worth_of_views,
+)
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+HEIGHT = 4.0  # root-mean-square radii: about the height of a person
+MOST_FRAMES = 40  # that the worth of views is computed from
+WORST = 10  # frames that are named
+HELPS = 0.85  # of the expected error, that one more camera must leave at most to be advised
+WORDS = {
+    "little_evidence": "too few keypoints or views",
+    "views_disagree": "views that disagree",
+    "unlike_fit": "structures unlike the fit's",
+    "no_evidence": "no structure",
+}
+
+
+class ViewsWorth(NamedTuple):
+    """The expected error with some of the views."""
+
+    views: tuple[int, ...]
+    expected_error: float
+
+
+class FitReport(NamedTuple):
+    """What is known of the answers of a fit; lengths are in the unit of its structures.
+
+    None stands for what is not known, as in weak perspective.
+    """
+
+    verdict: str
+    size: float  # the height of the subject, four root-mean-square radii, median over frames
+    expected_error: float | None  # root mean square over points
+    of_keypoints: list[float | None]  # (P,)
+    of_frames: list[float | None]  # (N,)
+    quality: list[float | None]  # (N,) in [0, 1]
+    reasons: list[str | None]  # (N,) of a low quality, of `models.posterior.quality.REASONS`
+    noise_px: list[list[float | None]] | None  # (K, P)
+    worst_frames: list[int]  # the least reliable first
+    of_views: list[ViewsWorth]  # the best first
+    cameras: list[Direction]  # (K,) where they are; none unless all are of one static rig
+    places: list[Place]  # of one more camera
+    best_place: Place | None
+
+
+def fit_report(
+    prior: FittedPrior,
+    lift: LiftedFrames,
+    keypoints: ArrayLike,
+    confidence: ArrayLike | None = None,
+) -> FitReport:
+    """Report on the answers of a fit.
+
+    Parameters
+    ----------
+    lift
+        Of the fit's own keypoints (N, K, P, 2), as it answers them, in canonical frames of
+        reference, with `points3d_sd`.
+    keypoints, confidence
+        As in `FittedPrior.lift`.
+    """
+    radii = np.sqrt(np.nansum(np.nanvar(lift.points3d.astype(np.float64), 1), -1))
+    there = np.isfinite(lift.points3d).any((1, 2))
+    size = HEIGHT * float(np.median(radii[there])) if there.any() else math.nan
+    squares = np.square(lift.points3d_sd.astype(np.float64))
+    overall = _root_mean(squares)
+    cameras = _of_cameras(prior, lift, keypoints, confidence, overall)
+    report = FitReport(
+        verdict="",
+        size=size,
+        expected_error=overall,
+        of_keypoints=[_root_mean(column) for column in squares.T],
+        of_frames=[_root_mean(row) for row in squares],
+        quality=[_number(value) for value in lift.quality.tolist()],
+        reasons=[REASONS[place - 1] if place else None for place in lift.quality_reason.tolist()],
+        noise_px=None if prior.posterior is None else _noise(prior, prior.posterior.noise),
+        worst_frames=_worst(lift),
+        of_views=cameras.of_views,
+        cameras=cameras.there,
+        places=cameras.places,
+        best_place=min(cameras.places, key=lambda place: place.expected_error, default=None),
+    )
+    return report._replace(verdict=verdict_of(report))
+
+
+def verdict_of(report: FitReport) -> str:
+    """Return in words what answers may be relied on for, to how much, and what would help most."""
+    if report.expected_error is None:
+        return (
+            "How far points may be off is not known: structures are in weak perspective, or an"
+            " older version fitted them."
+        )
+    share = report.expected_error / report.size
+    sentences = [
+        f"Points are expected within {_percent(share)} of the subject's size of where they are"
+        " (root mean square)."
+    ]
+    known = [value for value in report.of_keypoints if value is not None]
+    if known and max(known) > 1.5 * report.expected_error:
+        worst = report.of_keypoints.index(max(known))
+        sentences.append(
+            f"Keypoint {worst} is the least certain: {_percent(max(known) / report.size)}."
+        )
+    doubtful = [reason for reason in report.reasons if reason is not None]
+    if doubtful:
+        most = max(set(doubtful), key=doubtful.count)
+        sentences.append(
+            f"{len(doubtful)} of {len(report.reasons)} frames are doubtful, most for {WORDS[most]}."
+        )
+    best = report.best_place
+    if best is not None:
+        left = best.expected_error / report.expected_error
+        if left < HELPS:
+            sentences.append(
+                f"One more camera {_where(best.direction)} would leave {_percent(left)} of"
+                " the error."
+            )
+    return " ".join(sentences)
+
+
+def _where(place: Direction) -> str:
+    height = "at the subject's height" if place.elevation_deg < 15 else "from above"
+    if place.azimuth_deg == 0:
+        return f"in the direction of the first, {height},"
+    side = place.azimuth_deg if place.azimuth_deg <= 180 else 360 - place.azimuth_deg
+    turn = "" if side == 180 else " to the left" if place.azimuth_deg < 180 else " to the right"
+    return f"{side:.0f} degrees{turn} of the first, seen from the subject, {height},"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _root_mean(squares: Float64) -> float | None:
+    known = squares[np.isfinite(squares)]
+    return float(np.sqrt(known.mean())) if len(known) else None
+
+
+def _worst(lift: LiftedFrames) -> list[int]:
+    """Return frames with a structure of low quality, and then those whose points are least sure."""
+    there = np.isfinite(lift.points3d).any((1, 2)) & np.isfinite(lift.quality)
+    order = np.argsort(np.where(there, lift.quality, np.inf), kind="stable")
+    return [int(n) for n in order[:WORST] if there[n]]
+
+
+class _Cameras(NamedTuple):
+    of_views: list[ViewsWorth]
+    there: list[Direction]
+    places: list[Place]
+
+
+def _of_cameras(
+    prior: FittedPrior,
+    lift: LiftedFrames,
+    keypoints: ArrayLike,
+    confidence: ArrayLike | None,
+    expected: float | None,
+) -> _Cameras:
+    """Return what views and places are worth; with all views errors are as `expected`."""
+    posterior, found = prior.posterior, prior.self_calibration
+    known, views = prior.capture.known, lift.scales.shape[1]
+    some = lift.of_keypoints(known)
+    there: Bool = np.all(np.isfinite(some.points3d), axis=(1, 2))
+    there &= np.all(some.camera_models > 0, axis=1)
+    nothing = _Cameras([], [], [])
+    if posterior is None or found is None or expected is None or not there.any():
+        return nothing
+    chosen = np.flatnonzero(there)
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(MOST_FRAMES, len(chosen))).astype(int)]
+    kept = np.isin(np.arange(len(there)), chosen)
+    rig = sub_rig(found, range(views), views)
+    seen = prior.observe(keypoints, confidence=confidence).frames(kept)
+    frames = frames_as_detected(
+        some.frames(kept),
+        rig,
+        seen.observations,
+        seen.detected,
+        seen.smoothed,
+        posterior.shapes,
+        posterior.noise_of(range(views), views),
+        0,
+        len(chosen),
+    )
+    given = posterior.shapes, posterior.factor, posterior.corrections[0]
+    unit = expected / expected_error(frames, *given)
+    of_views = [ViewsWorth(some, unit * error) for some, error in worth_of_views(frames, *given)]
+    typical = float(np.median(posterior.noise))
+    places = [
+        Place(place.direction, unit * place.expected_error)
+        for place in worth_of_places(frames, rig, *given, typical)
+    ]
+    return _Cameras(of_views, directions_of(rig, frames) if places else [], places)
+
+
+def _noise(prior: FittedPrior, noise: Float64) -> list[list[float | None]]:
+    whole = np.full((len(noise), len(prior.capture.known)), np.nan)
+    whole[:, prior.capture.known] = noise
+    return [[_number(value) for value in row] for row in whole.tolist()]
