@@ -9,6 +9,7 @@ import orjson
 from numpy.typing import NDArray
 
 from models.lifting.lift import CAMERA_MODELS, FINDING_BITS, REASONS
+from models.posterior.quality import REASONS as REASONS_OF_QUALITY
 from models.settings.uncertainty import MODES, SYMMETRIC
 
 Arrays = dict[str, NDArray[Any]]
@@ -26,7 +27,8 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
     arrays
         Those of `LiftedFrames.arrays`; NaN, and -1 in ``camera_models``, where there is no answer.
         Lifts of older versions have no ``keypoints_seen``, ``outlier_probability``,
-        ``points3d_sd`` and ``findings``. Objects have covariances and modes only if these are here.
+        ``points3d_sd``, ``quality``, ``quality_reason`` and ``findings``. Objects have covariances
+        and modes only if these are here.
     """
     models = arrays["camera_models"]
     views = np.full(models.shape, b"null", object)
@@ -45,17 +47,21 @@ def frames_to_json(arrays: Arrays) -> list[bytes]:
             b"sd": sd + full,
             b"seen": seen,
             b"odd": odd,
+            b"quality": quality,
+            b"why": why,
             b"findings": found,
             b"views": shown,
         }
-        for fine, text, sd, full, seen, odd, found, shown in zip(
+        for fine, text, sd, full, seen, odd, quality, why, found, shown in zip(
             answered.tolist(),
             texts,
             _known(arrays, "points3d_sd"),
             _covariances(arrays),
             _seen(arrays),
             _known(arrays, "outlier_probability"),
-            _findings(arrays),
+            _known(arrays, "quality"),
+            _by_place(arrays, "quality_reason", _REASONS, b"null"),
+            _by_place(arrays, "findings", _CODES, b"[]"),
             map(b",".join, views.tolist()),
             strict=True,
         )
@@ -97,11 +103,11 @@ def _covariances(arrays: Arrays) -> Iterable[bytes]:
     return map(b"".join, zip(*members, strict=True))
 
 
-def _findings(arrays: Arrays) -> Iterable[bytes]:
-    """Return the JSON of the finding codes of every frame."""
-    if "findings" not in arrays:
-        return repeat(b"[]", len(arrays["points3d"]))
-    return [_CODES[total] for total in arrays["findings"].tolist()]
+def _by_place(arrays: Arrays, name: str, texts: list[bytes], otherwise: bytes) -> Iterable[bytes]:
+    """Return for every frame the text at the place that an array has of it."""
+    if name not in arrays:
+        return repeat(otherwise, len(arrays["points3d"]))
+    return [texts[place] for place in arrays[name].tolist()]
 
 
 def _write_views(
@@ -149,13 +155,16 @@ _CODES = [  # for every sum of bits
     orjson.dumps([code for bit, code in FINDING_BITS.items() if total & bit])
     for total in range(2 * max(FINDING_BITS))
 ]
+_REASONS = [b"null", *(orjson.dumps(reason) for reason in REASONS_OF_QUALITY)]
 _ANSWERED = (
     b'{"status":"ok","reason":null,"points3d":%(points)b,"points3d_sd":%(sd)b,"keypoints_seen":%(seen)b,'
-    b'"outlier_probability":%(odd)b,"views":[%(views)b],"findings":%(findings)b}'
+    b'"outlier_probability":%(odd)b,"quality":%(quality)b,"quality_reason":%(why)b,'
+    b'"views":[%(views)b],"findings":%(findings)b}'
 )
 _UNANSWERED, _NOT_IN_ROOM = (
     b'{"status":%b,"reason":%b,"points3d":null,"points3d_sd":%%(sd)b,"keypoints_seen":%%(seen)b,'
-    b'"outlier_probability":%%(odd)b,"views":[%%(views)b],"findings":%%(findings)b}'
+    b'"outlier_probability":%%(odd)b,"quality":%%(quality)b,"quality_reason":%%(why)b,'
+    b'"views":[%%(views)b],"findings":%%(findings)b}'
     % (orjson.dumps(status), orjson.dumps(REASONS[status]))
     for status in ("too_few_keypoints", "not_in_room")
 )

@@ -132,9 +132,11 @@ def get_reconstruction(
     two views of the fit never show in the same frame is NaN, as is one that fewer than two views
     show of a frame if its answer is far from where it usually is. `outlier_probability` (N, K, P)
     is the probability of a keypoint to be an outlier, NaN where it was not observed or not judged;
-    above 0.5 it was left out. `findings` (N,) are sums of the findings of a frame: 1
-    `rig_not_used`, 2 `frame_unlike_fit`, 4 `coordinates_of_another_scale`, 8 `not_in_room`.
-    Reconstructions that older versions stored lack these four.
+    above 0.5 it was left out. `quality` (N,) in [0, 1] is how far a frame may be relied on, NaN
+    where it is not known, and `quality_reason` (N,) why it is below 0.5: 1 `little_evidence`, 2
+    `views_disagree`, 3 `unlike_fit`, 4 `no_evidence`, else 0. `findings` (N,) are sums of the
+    findings of a frame: 1 `rig_not_used`, 2 `frame_unlike_fit`, 4 `coordinates_of_another_scale`,
+    8 `not_in_room`. Reconstructions that older versions stored lack these six.
 
     With `frame=room` all frames are in one room, and so are the cameras. Canonical translations
     have the unit of each frame's first view: if that view moves while others are static, the unit

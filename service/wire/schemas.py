@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from typing_extensions import TypeAliasType
 
 from models.findings.catalogue import LiftCode
+from models.posterior.quality import DOUBTFUL
 from models.settings.keypoints import OUTLIER
 from models.settings.uncertainty import MODES, SYMMETRIC
 from store.labels import Text
@@ -94,6 +95,9 @@ Rotation = Annotated[list[Vector3], Field(min_length=3, max_length=3)]
 
 CameraModel = TypeAliasType("CameraModel", Literal["weak_perspective", "perspective", "fisheye"])
 FrameStatus = TypeAliasType("FrameStatus", Literal["ok", "too_few_keypoints", "not_in_room"])
+QualityReason = TypeAliasType(
+    "QualityReason", Literal["little_evidence", "views_disagree", "unlike_fit", "no_evidence"]
+)
 Distortion = Annotated[list[float], Field(min_length=8, max_length=8)]
 
 
@@ -139,6 +143,8 @@ LIFTED_FRAME: dict[str, Any] = {
     "points3d_sd": [0.012, 0.015, 0.11, 0.013],
     "keypoints_seen": [1, 1, 0, 1],
     "outlier_probability": [[0.001, 0.0, 0.998, 0.004], [None, None, None, None]],
+    "quality": 0.83,
+    "quality_reason": None,
     "views": [
         {
             "camera": "perspective",
@@ -195,6 +201,17 @@ class LiftedFrame(BaseModel):
         "swapped, used in its partner's place. Null for what was not observed, "
         "and in all where the model judges no outliers, of cameras that the fit does not know, and "
         "in what older versions stored."
+    )
+    quality: float | None = Field(
+        description="How far the frame may be relied on, 0 to 1: 1 for one that is as the frames "
+        "of the fit usually are, 0 for one without a structure. Null where `points3d_sd` is null "
+        "in all, but for `uncertainty: off`."
+    )
+    quality_reason: QualityReason | None = Field(
+        description=f"Why the quality is below {DOUBTFUL:g}: points may be off by more than they "
+        "usually may (`little_evidence`), keypoints lie farther from where the answer is seen "
+        "(`views_disagree`), the structure is unlike the shapes of the fit (`unlike_fit`), or "
+        "there is none (`no_evidence`)."
     )
     views: list[LiftedView | None] = Field(
         description="One camera per view, null where the view shows too few keypoints."

@@ -141,6 +141,10 @@ def test_a_fit_is_followed_and_its_reconstruction_is_arrays(served: Served) -> N
     assert lift.frame_findings.shape == (frames,)
     assert lift.outlier_probability is not None
     assert lift.outlier_probability.shape == (frames, views, keypoints)
+    assert lift.quality is not None
+    assert lift.quality.shape == (frames,)
+    assert lift.quality_reason is not None
+    assert lift.quality_reason.shape == (frames,)
     assert lift.lifted.all()
     assert lift.model_id == done.model_id
 

@@ -54,6 +54,10 @@ class Lift:
         (N, K, P) in [0, 1]: probability of a keypoint to be an outlier. Above 0.5 it was left out
         of the lift or, if left and right were swapped, used in its partner's place. NaN where it
         was not observed or not judged; None for old reconstructions.
+    quality, quality_reason
+        (N,) how far each frame may be relied on, in [0, 1], and why it is below 0.5: 1
+        ``little_evidence``, 2 ``views_disagree``, 3 ``unlike_fit``, 4 ``no_evidence``, else 0. NaN
+        where it is not known; None for old reconstructions.
     points3d_covariance, points3d_modes
         (N, P, 6) covariances C of the points, xx, xy, xz, yy, yz, zz, and (N, P, 3, 12) modes U:
         how points are off together. The covariance of all coordinates of a structure is
@@ -83,6 +87,8 @@ class Lift:
     points3d_modes: Float32 | None = None
     keypoints_seen: NDArray[np.integer[Any]] | None = None
     outlier_probability: Float32 | None = None
+    quality: Float32 | None = None
+    quality_reason: NDArray[np.integer[Any]] | None = None
     frame_findings: NDArray[np.integer[Any]] | None = None
     findings: tuple[Finding, ...] = ()
     model_id: str | None = None

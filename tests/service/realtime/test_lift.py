@@ -13,6 +13,7 @@ from models.capture.synthetic import SyntheticCapture
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import CAMERA_MODELS, LiftedFrames
+from models.posterior.quality import REASONS
 from models.settings.keypoints import OUTLIER
 from service.wire.schemas import LiftedFrame
 from tests.service.conftest import BYTES, JSON, frames_of, problem, to_npz, to_safetensors
@@ -41,6 +42,12 @@ def check_json(frames: list[Any], arrays: dict[str, Array]) -> None:
         off = frame["points3d_sd"]
         off = [None] * arrays["points3d_sd"].shape[1] if off is None else off
         np.testing.assert_allclose(np.array(off, np.float32), arrays["points3d_sd"][n], rtol=1e-6)
+        if frame["quality"] is None:
+            assert np.isnan(arrays["quality"][n])
+        else:
+            assert np.float32(frame["quality"]) == arrays["quality"][n]
+        place = arrays["quality_reason"][n]
+        assert frame["quality_reason"] == (REASONS[place - 1] if place else None)
         outlying = arrays["outlier_probability"][n]
         if frame["outlier_probability"] is None:
             assert np.isnan(outlying).all()

@@ -64,6 +64,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
         "points3d_sd": (n, p),
         "keypoints_seen": (n, p),
         "outlier_probability": (n, k, p),
+        "quality": (n,),
+        "quality_reason": (n,),
         "findings": (n,),
     }
     perspective = np.any(arrays["camera_models"] > 0, axis=1, keepdims=True)
@@ -80,6 +82,8 @@ def test_the_reconstruction_is_the_same_in_every_format(
         judged = np.array(frame["outlier_probability"], np.float32)  # None is NaN
         np.testing.assert_array_equal(judged, arrays["outlier_probability"][index])
         np.testing.assert_array_equal(np.float32(frame["points3d"]), arrays["points3d"][index])
+        quality = np.array(frame["quality"], np.float32)
+        np.testing.assert_array_equal(quality, arrays["quality"][index])
         off = frame["points3d_sd"]
         off = [None] * p if off is None else off
         np.testing.assert_array_equal(np.array(off, np.float32), arrays["points3d_sd"][index])
