@@ -138,13 +138,17 @@ def test_a_download_goes_on_where_it_broke_off(served: Served, line: Line, tmp_p
     assert not other.exists()
 
 
+# A fit that goes on for as long as events are broken and asked for again.
+LONGER = CONFIG | {"refine": "off", "steps": 250}
+
+
 def test_a_fit_is_followed_through_breaks_and_without_events(served: Served, line: Line) -> None:
     for faults in ([(b"/events", 2500)], [(b"/events", 0)] * 50):
         line.faults = list(faults)
         del line.asked[:]
         heard: list[Fit] = []
         with Client(line.url, patience=0) as client:
-            fit = client.fits.create(served.dataset, **CONFIG, refine="off")
+            fit = client.fits.create(served.dataset, **LONGER)
             done = client.fits.wait(fit, on_progress=heard.append)
         assert heard[-1] == done
         assert done.model_id is not None
