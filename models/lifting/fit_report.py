@@ -79,9 +79,11 @@ def fit_report(
     keypoints, confidence
         As in `FittedPrior.lift`.
     """
-    radii = np.sqrt(np.nansum(np.nanvar(lift.points3d.astype(np.float64), 1), -1))
     there = np.isfinite(lift.points3d).any((1, 2))
-    size = HEIGHT * float(np.median(radii[there])) if there.any() else math.nan
+    size = math.nan
+    if there.any():
+        spread = np.nanvar(lift.points3d[there].astype(np.float64), 1).sum(-1)
+        size = HEIGHT * float(np.sqrt(np.median(spread)))
     squares = np.square(lift.points3d_sd.astype(np.float64))
     overall = _root_mean(squares)
     cameras = _of_cameras(prior, lift, keypoints, confidence, overall)

@@ -1,7 +1,8 @@
 """Covariances of the points of many frames, in the frame of reference that moves with the subject.
 
-An answer's place, direction and, where no rig gives it, size belong to its cameras, not to its
-structure. So they are projected out of what its points share.
+An answer's place and direction belong to its cameras, not to its structure. The same is true of
+its size where no rig gives it, and of what all sizes have in common: that is their unit. So these
+are projected out of what points share.
 """
 
 import math
@@ -178,11 +179,11 @@ def write_covariances(
         found = _room_for(cameras, shape, count, shared)
         if not covariance_of_frame(frames.points[n], cameras, views, shape, found):
             continue
-        _correct(found, frames.corrections[n])
+        axes = _gauge(frames.points[n])
         size = SIMILARITY - 1 if _rig_views(cameras, views) > 1 else SIMILARITY
-        axes = _gauge(frames.points[n], size)
-        _project(axes, found.modes)
+        _project(axes[:size], found.modes)
         _project(axes, found.by_cameras)
+        _correct(found, frames.corrections[n])
         _write_blocks(found, out.blocks[n])
         for p in range(count if len(out.modes) else 0):
             for i in range(3):
@@ -203,9 +204,9 @@ def _rig_views(cameras: FrameCameras, views: Views) -> int:
 
 
 @inner
-def _gauge(points: Float64, size: int) -> Float64:
-    """Return orthonormal directions (size, P, 3) of translations, rotations and growth."""
-    count, middle = len(points), middle_of(points)
+def _gauge(points: Float64) -> Float64:
+    """Return orthonormal directions (7, P, 3) of translations, rotations and, last, growth."""
+    count, middle, size = len(points), middle_of(points), SIMILARITY
     axes = np.zeros((size, count, 3))
     for p in range(count):
         x, y, z = points[p, 0] - middle[0], points[p, 1] - middle[1], points[p, 2] - middle[2]
@@ -214,8 +215,7 @@ def _gauge(points: Float64, size: int) -> Float64:
         axes[3, p, 1], axes[3, p, 2] = -z, y
         axes[4, p, 0], axes[4, p, 2] = z, -x
         axes[5, p, 0], axes[5, p, 1] = -y, x
-        if size == SIMILARITY:
-            axes[6, p, 0], axes[6, p, 1], axes[6, p, 2] = x, y, z
+        axes[6, p, 0], axes[6, p, 1], axes[6, p, 2] = x, y, z
     rows = axes.reshape(size, 3 * count)
     for a in range(size):  # Gram and Schmidt
         for b in range(a):
