@@ -5,7 +5,7 @@ import numpy as np
 from models.bundle.problem import Rig
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import ObservedFrames
-from models.posterior.posterior import Posterior, unknown_uncertainty
+from models.posterior.posterior import Posterior, unknown_deviations
 from models.posterior.quality import FIGURES, NO_EVIDENCE, quality_of
 
 FURTHEST = 2.0  # root-mean-square radii of the structure: half of a person's height
@@ -26,11 +26,11 @@ def with_deviations(
     without a rig, for then nothing was refined.
     """
     if posterior is None or rig is None:
-        found = unknown_uncertainty(*lift.points3d.shape[:2], modes=modes)
+        found = unknown_deviations(*lift.points3d.shape[:2], modes=modes)
     else:
         seen, views = observed.observations, observed.views
         removed = observed.detected, observed.smoothed
-        found = posterior.uncertainty(lift, rig, views, seen, *removed, modes=modes)
+        found = posterior.deviations(lift, rig, views, seen, *removed, modes=modes)
     usual = np.zeros(FIGURES) if posterior is None else posterior.usual
     quality, reasons = quality_of(found.figures, usual)
     nothing = np.isnan(lift.points3d).all((1, 2))

@@ -28,7 +28,7 @@ Float64 = NDArray[np.float64]
 NOTHING = 1e-12  # of all variances, what is left of one by rounding
 
 
-class Uncertainty(NamedTuple):
+class Deviations(NamedTuple):
     """How far the points of N frames may be off; see `Answers`."""
 
     sds: Float32  # (N, P)
@@ -59,9 +59,9 @@ def write_deviations(
     factor: Float64,
     start: int,
     stop: int,
-    out: Uncertainty,
+    out: Deviations,
 ) -> None:
-    """Write what `Posterior.uncertainty` returns, for frames from `start` to `stop`.
+    """Write what `Posterior.deviations` returns, for frames from `start` to `stop`.
 
     A frame without a perspective camera stays as it is. Covariances and modes are only written if
     there is room for them.
@@ -120,7 +120,7 @@ def frames_as_detected(
 
 
 @inner
-def _write(found: Covariances, m: int, full: bool, n: int, out: Uncertainty) -> None:
+def _write(found: Covariances, m: int, full: bool, n: int, out: Deviations) -> None:
     """Write frame m of what was found as frame n of `out`."""
     for p in range(found.blocks.shape[1]):
         block, squared, number = found.blocks[m, p], 0.0, 0

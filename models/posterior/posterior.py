@@ -11,7 +11,7 @@ from models.capture.observations import Observations
 from models.network.answers import Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
-from models.posterior.deviations import Noise, Uncertainty, write_deviations
+from models.posterior.deviations import Deviations, Noise, write_deviations
 from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
 from models.posterior.quality import FIGURES
 from models.settings.uncertainty import MODES, SYMMETRIC
@@ -38,7 +38,7 @@ class Posterior(NamedTuple):
     # (3,) medians of the frames' figures, as in `models.posterior.quality`; 0 if not known
     usual: Float64
 
-    def uncertainty(
+    def deviations(
         self,
         answers: Answers,
         rig: Rig,
@@ -48,7 +48,7 @@ class Posterior(NamedTuple):
         smoothed: Bool,
         *,
         modes: bool,
-    ) -> Uncertainty:
+    ) -> Deviations:
         """Return how far the points of answers may be off.
 
         NaN for frames without a perspective camera. In the unit of the answers. A structure's place
@@ -69,7 +69,7 @@ class Posterior(NamedTuple):
             Whether covariances and modes are wanted.
         """
         frames, count, _ = answers.points3d.shape
-        out = unknown_uncertainty(frames, count, modes=modes)
+        out = unknown_deviations(frames, count, modes=modes)
         noise, factor = self.noise_of(views, seen.weights.shape[1]), self._factor_of(views, seen)
         in_slices(
             frames,
@@ -150,10 +150,10 @@ class Posterior(NamedTuple):
         return found
 
 
-def unknown_uncertainty(frames: int, keypoints: int, *, modes: bool) -> Uncertainty:
+def unknown_deviations(frames: int, keypoints: int, *, modes: bool) -> Deviations:
     """Return NaN for so many frames of so many keypoints."""
     columns = (SYMMETRIC, MODES) if modes else (0, 0)
-    return Uncertainty(
+    return Deviations(
         np.full((frames, keypoints), np.nan, np.float32),
         np.full((frames, keypoints, columns[0]), np.nan, np.float32),
         np.full((frames, keypoints, 3, columns[1]), np.nan, np.float32),

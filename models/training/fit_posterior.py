@@ -157,7 +157,7 @@ def _as_seen(observed: ObservedFrames) -> tuple[Observations, Float32, Bool]:
 def _usual(lifts: _Lifts, detected: Observations) -> Float64:
     """Return the median figures (3,) of the frames."""
     lift, observed = lifts.lift(pixels_of(detected)[0], detected.weights, None)
-    found = lifts.posterior.uncertainty(
+    found = lifts.posterior.deviations(
         lift, lifts.rig, observed.views, *_as_seen(observed), modes=False
     )
     return np.asarray(np.nanmedian(found.figures, 0))

@@ -173,6 +173,18 @@ def test_files_without_corrections_are_read() -> None:
     assert np.isnan(older.lift(keypoints).quality).all()
 
 
+def test_a_point_that_may_be_anywhere_is_null() -> None:
+    """With shapes that leave the hand open by more than the subject's size."""
+    posterior = prior().posterior
+    assert posterior is not None
+    variances = posterior.variances.copy()
+    variances[HAND] = 100 * np.square(posterior.mean).sum(-1).mean()
+    loose = prior().with_posterior(posterior._replace(variances=variances))
+    assert np.isnan(loose.lift(hidden(0, 1, 2)).points3d[:, HAND]).all()
+    for lift in (loose.lift(hidden(0)), prior().lift(hidden(0, 1, 2))):
+        assert np.isfinite(lift.points3d).all()
+
+
 @pytest.mark.parametrize("name", ["noise", "variances", "left", "corrections"])
 def test_a_file_with_a_posterior_that_makes_no_sense_is_refused(name: str) -> None:
     data = prior().to_bytes()
