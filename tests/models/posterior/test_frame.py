@@ -158,14 +158,13 @@ def test_covariances_are_those_of_the_dense_posterior(joined: list[bool], shared
     numbers = VIEW * views
     own = np.flatnonzero(there[: case.size - numbers])
     by_camera = hessian[own][:, case.size - numbers :]
-    inverse = np.linalg.inv(hessian[np.ix_(own, own)] + 1e-9 * np.eye(len(own)))
+    small = 1e-9 * np.eye(len(own))
+    inverse = np.linalg.inv(hessian[np.ix_(own, own)] + small).astype(np.float64)
     steps = np.tile(np.r_[LENS_STEPS, np.ones(VIEW - LENS)], views)
-    follow = -np.asarray(inverse @ by_camera, np.float64)[: 3 * POINTS] @ (
-        factor.reshape(numbers, -1) / steps[:, None]
-    )
+    follow = -(inverse @ by_camera)[: 3 * POINTS] @ (factor.reshape(numbers, -1) / steps[:, None])
     sized = 6 if sum(joined) > 1 else 7
     expected = without_gauge(case.points, inverse[: 3 * POINTS, : 3 * POINTS], sized)
-    expected += without_gauge(case.points, np.asarray(follow @ follow.T, np.float64), 7)
+    expected += without_gauge(case.points, np.asarray(follow @ follow.T), 7)
     columns = np.concatenate((found.modes[0], found.by_cameras[0]), -1).reshape(3 * POINTS, -1)
     ours = block_diag(*found.blocks[0])
     ours += columns @ columns.T * (1 - block_diag(*np.ones((POINTS, 3, 3))))
