@@ -75,10 +75,12 @@ class LiftedFrames(Answers):
         """Return the lift of some of the P keypoints."""
         if chosen.all():
             return self
+        # Arrays with another memory order would make Numba compile again, which takes a minute.
+        points = {name: np.ascontiguousarray(getattr(self, name)[:, chosen]) for name in _OF_POINTS}
         return self._replace(
-            keypoints_seen=self.keypoints_seen[:, chosen],
-            outlier_probability=self.outlier_probability[:, :, chosen],
-            **{name: getattr(self, name)[:, chosen] for name in _OF_POINTS},
+            keypoints_seen=np.ascontiguousarray(self.keypoints_seen[:, chosen]),
+            outlier_probability=np.ascontiguousarray(self.outlier_probability[:, :, chosen]),
+            **points,
         )
 
     def among(self, known: NDArray[np.bool_]) -> "LiftedFrames":

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from models.capture.synthetic import synthetic_capture
+from models.lifting.fit_report import fit_report
 from models.lifting.fitted_prior import FittedPrior
 from models.numerics.compiled import signatures
 from models.numerics.threads import use_threads
@@ -69,6 +70,7 @@ def fit_noisy_film(*, timed: bool) -> None:
     assert prior.cameras is not None
     assert "noise were removed" in prior.cameras.reason
     prior.lift(noisy[:1])
+    fit_report(prior, prior.lift(noisy, uncertainty="full"), noisy)
     if timed:
         prior.lift(noisy, times=times)
 
