@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
@@ -32,6 +32,13 @@ class Attempt:
     fit_id: str
     number: int
     lease_seconds: float
+
+
+class Report(NamedTuple):
+    """What a fit may be relied on for."""
+
+    words: str  # its verdict
+    data: bytes  # JSON
 
 
 def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:
@@ -109,8 +116,9 @@ def succeed(
     reconstruction: bytes,
     progress: dict[str, Any] | None,
     describe: dict[str, Any],
+    report: Report | None = None,
 ) -> str:
-    """Store the model and the reconstruction and end the fit, all in one transaction.
+    """Store model, reconstruction and report and end the fit, all in one transaction.
 
     Parameters
     ----------
@@ -118,6 +126,8 @@ def succeed(
         The last progress, for those who did not see it yet.
     describe
         The remaining columns of the model's record.
+    report
+        On the fit; None if it could not be made.
 
     Returns
     -------
@@ -130,6 +140,9 @@ def succeed(
     model = models.new_record(store, weights, fit_id=fit.id, version=VERSION, **labels, **describe)
     reconstruction_key = keys.of_reconstruction(fit.id, reconstruction)
     store.objects.put(reconstruction_key, reconstruction)
+    report_key = None if report is None else keys.of_report(fit.id, report.data)
+    if report is not None and report_key is not None:
+        store.objects.put(report_key, report.data)
     try:
         with store.writing() as session:
             session.add(model)
@@ -141,12 +154,14 @@ def succeed(
                     "model_id": model.id,
                     "progress": progress,
                     "reconstruction_key": reconstruction_key,
-                    "stored_bytes": len(reconstruction),
+                    "report_key": report_key,
+                    "report_words": report and report.words,
+                    "stored_bytes": len(reconstruction) + len(report.data if report else b""),
                     "findings": model.findings,
                 },
             )
     except LeaseLostError:
-        discard(store, model.weights_key, reconstruction_key)
+        discard(store, model.weights_key, reconstruction_key, report_key)
         raise
     discard(store, fit.checkpoint_key)
     return model.id

@@ -314,7 +314,7 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
 
 
 def delete(store: Store, fit_id: str) -> None:
-    """Delete a fit that has ended, and its reconstruction; its model stays.
+    """Delete a fit that has ended, its reconstruction and its report; its model stays.
 
     Raises as :func:`store.jobs.delete` does, and ``ConflictError`` while a lift uses the
     reconstruction for up or the floor of its room: its parts would otherwise be in different rooms.
@@ -326,7 +326,8 @@ def delete(store: Store, fit_id: str) -> None:
         jobs.refuse_if_used(
             session, "Fit", fit_id, LiftRecord, of_model, LiftRecord.up.is_not(None)
         )
-        return [key for key in (fit.reconstruction_key, fit.checkpoint_key) if key is not None]
+        keys = fit.reconstruction_key, fit.report_key, fit.checkpoint_key
+        return [key for key in keys if key is not None]
 
     jobs.delete(store, FitRecord, fit_id, forget)
 
@@ -381,7 +382,25 @@ def load_reconstruction(store: Store, fit: FitRecord) -> bytes:
     DamagedError
         If it is not what was stored.
     """
+    return _load(store, fit, reconstruction_key(fit))
+
+
+def load_report(store: Store, fit: FitRecord) -> bytes:
+    """Return the report on a fit (JSON).
+
+    Raises as :func:`load_reconstruction` does, and ``ConflictError`` if there is none.
+    """
+    if fit.report_key is None:
+        reconstruction_key(fit)
+        raise ConflictError(
+            f"There is no report on fit {fit.id!r}: an older version fitted it, or it could not be"
+            " made. Fit the dataset again to have one."
+        )
+    return _load(store, fit, fit.report_key)
+
+
+def _load(store: Store, fit: FitRecord, key: str) -> bytes:
     try:
-        return store.objects.get(reconstruction_key(fit))
+        return store.objects.get(key)
     except FileNotFoundError as error:
         raise lost(store, FitRecord, fit.id, error) from error

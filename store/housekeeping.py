@@ -33,6 +33,7 @@ KEYS = (
     Chunk.key,
     FitRecord.checkpoint_key,
     FitRecord.reconstruction_key,
+    FitRecord.report_key,
     LiftChunk.arrays_key,
     LiftChunk.lines_key,
     ModelRecord.weights_key,

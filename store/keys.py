@@ -12,7 +12,7 @@ from store.ids import new_id
 FOLDERS = ("datasets", "fits", "models", "lifts")
 _ID = "[a-z]+_[0-9a-z]{26}"
 _OURS = re.compile(
-    rf"(?:{'|'.join(FOLDERS)})/{_ID}/(?:{_ID}|weights)(?:\.([0-9a-f]{{8}}))?\.(?:safetensors|jsonl)"
+    rf"(?:{'|'.join(FOLDERS)})/{_ID}/(?:{_ID}|weights)(?:\.([0-9a-f]{{8}}))?\.(?:safetensors|jsonl?)"
 )
 
 
@@ -29,6 +29,11 @@ def of_checkpoint(fit_id: str, data: bytes) -> str:
 def of_reconstruction(fit_id: str, data: bytes) -> str:
     """Return a new key for the reconstruction of a fit."""
     return f"fits/{fit_id}/{new_id('reconstruction')}.{_checksum(data)}.safetensors"
+
+
+def of_report(fit_id: str, data: bytes) -> str:
+    """Return a new key for the report on a fit."""
+    return f"fits/{fit_id}/{new_id('report')}.{_checksum(data)}.json"
 
 
 def of_weights(model_id: str, data: bytes) -> str:

@@ -149,10 +149,13 @@ class FitRecord(Job, Record):
     lease_expires_at: Mapped[float | None]
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
+    report_key: Mapped[str | None]
+    report_words: Mapped[str | None] = mapped_column(Text)  # of the report, its verdict
     model_id: Mapped[str | None] = mapped_column(index=True)
     version: Mapped[str | None]  # of Fewview that ended it; None: it goes on, or nobody noted it
     kept_bytes: Mapped[int] = kept(
-        "tags", "user_metadata", "error", "findings", "config", "progress", "corrections"
+        *("tags", "user_metadata", "error", "findings", "config", "progress"),
+        *("corrections", "report_words"),
     )
 
 

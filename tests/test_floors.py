@@ -36,7 +36,9 @@ PACKAGES = {
     "service": (
         ("settings",),
         ("http",),
-        ("page", "wire"),
+        ("wire",),
+        ("report",),
+        ("page",),
         ("realtime",),
         ("resources",),
         ("app",),

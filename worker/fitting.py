@@ -16,6 +16,7 @@ from models.calibrating.handedness import DECIDED
 from models.capture.clocks import in_step
 from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.capture.motion import with_neighbours
+from models.findings import advice
 from models.findings.finding import dumped, log_findings
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames, join
@@ -25,7 +26,7 @@ from models.settings.config import FitConfig
 from models.training.trainer import Trainer
 from store import attempts, datasets, lookup, models
 from store.attempts import Attempt
-from store.capture import Capture, Float64
+from store.capture import Capture, Float32, Float64
 from store.database import Store
 from store.errors import LeaseLostError
 from store.fits import load_fitted
@@ -35,6 +36,7 @@ from worker.heartbeat import Heartbeat
 from worker.needs import gpu_pays
 from worker.outcomes import Outcomes, recorded
 from worker.patience import OUTAGES, is_outage, patiently
+from worker.reports import make_report
 from worker.settings import WorkerSettings
 from worker.time_slice import FitTurn
 
@@ -121,14 +123,17 @@ def _run(
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
-    lift = _reconstruct(prior, capture, times, stopped)
+    shown = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
+    lift = _reconstruct(prior, *shown, times, stopped)
     if lift is not None:
+        names = (dataset.skeleton or {}).get("keypoint_names")
         succeed = partial(
             attempts.succeed,
             store,
             attempt,
             weights=prior.to_bytes(),
             reconstruction=save(lift.arrays),
+            report=advice.attempt(make_report, None, prior, lift, *shown, names),
             progress=heartbeat.progress,
             describe=_describe(fit, dataset, capture, prior)
             | {"metrics": _finite(evaluate(prior, lift, capture))},
@@ -155,14 +160,14 @@ def _describe(
 
 def _reconstruct(
     prior: FittedPrior,
-    capture: Capture,
+    keypoints: Float32,
+    trust: Float32 | None,
     times: Float64 | None,
     stopped: Callable[[], bool],
 ) -> LiftedFrames | None:
     """Lift every frame of the fitted capture; None if the attempt has to end before."""
-    keypoints, trust = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
     lifts = []
-    for start in range(0, capture.frames, LIFT_FRAMES):
+    for start in range(0, len(keypoints), LIFT_FRAMES):
         if stopped():
             return None
         own = slice(start, start + LIFT_FRAMES)

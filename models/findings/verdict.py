@@ -42,10 +42,19 @@ class Verdict(BaseModel):
     code: FindingCode | None = Field(description="The finding that decides; null if it is good.")
     reliable: str = Field(description="What may be relied on, in a sentence.")
     remedy: str = Field(description="What would help most; empty if it is good.")
+    expected: str | None = Field(
+        None,
+        description="How far points are expected to be off, which frames are doubtful and where one"
+        " more camera would help, in sentences; null where there is no report.",
+    )
 
 
-def verdict_of(findings: Sequence[Finding]) -> Verdict:
-    """Return the verdict on a result of which this was noticed."""
+def verdict_of(findings: Sequence[Finding], expected: str | None = None) -> Verdict:
+    """Return the verdict on a result of which this was noticed, and whose report is so worded."""
+    return _by_findings(findings).model_copy(update={"expected": expected})
+
+
+def _by_findings(findings: Sequence[Finding]) -> Verdict:
     warnings = {finding.code: finding for finding in findings if finding.severity == "warning"}
     for code, reliable in SERIOUS.items():
         if code in warnings:

@@ -76,7 +76,7 @@ def as_filmed(
         seen &= confidence > 0
     judged = found.get("outlier_probability")
     odd = found.get("findings", np.zeros(count, np.uint8))
-    projected = _reprojections(found, cameras, placed)
+    projected = reprojections(found, cameras, placed)
     filmed = Filmed(
         keypoints=np.where(seen[..., None], keypoints, np.nan).astype(np.float64),
         confidence=np.ones(seen.shape) if confidence is None else confidence.astype(np.float64),
@@ -120,10 +120,10 @@ def _between(values: Float64, places: Float64) -> Float64:
     return np.where(share > 0, first + share * (last - first), first)
 
 
-def _reprojections(
-    found: Mapping[str, Array], cameras: CameraReport | None, placed: Array | None
+def reprojections(
+    found: Mapping[str, Array], cameras: CameraReport | None = None, placed: Array | None = None
 ) -> Float64:
-    """Return where each camera shows the structures (N, K, P, 2), by moments."""
+    """Return where each camera shows the structures (N, K, P, 2), by moments; see `as_filmed`."""
     models = np.array(found["camera_models"])
     turns, shifts = (found[name].astype(np.float64) for name in ("rotations", "translations"))
     points = np.asarray(found["points3d"], np.float64)

@@ -1,6 +1,7 @@
 """What a fit may be relied on for: errors to expect, and what would lessen them most."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,7 @@ def fit_report(
     lift: LiftedFrames,
     keypoints: ArrayLike,
     confidence: ArrayLike | None = None,
+    names: Sequence[str] | None = None,
 ) -> FitReport:
     """Report on the answers of a fit.
 
@@ -78,6 +80,8 @@ def fit_report(
         reference, with `points3d_sd`.
     keypoints, confidence
         As in `FittedPrior.lift`.
+    names
+        Of the P keypoints, for the verdict.
     """
     there = np.isfinite(lift.points3d).any((1, 2))
     size = math.nan
@@ -102,10 +106,10 @@ def fit_report(
         places=cameras.places,
         best_place=min(cameras.places, key=lambda place: place.expected_error, default=None),
     )
-    return report._replace(verdict=verdict_of(report))
+    return report._replace(verdict=verdict_of(report, names))
 
 
-def verdict_of(report: FitReport) -> str:
+def verdict_of(report: FitReport, names: Sequence[str] | None = None) -> str:
     """Return in words what answers may be relied on for, to how much, and what would help most."""
     if report.expected_error is None:
         return (
@@ -120,9 +124,8 @@ def verdict_of(report: FitReport) -> str:
     known = [value for value in report.of_keypoints if value is not None]
     if known and max(known) > 1.5 * report.expected_error:
         worst = report.of_keypoints.index(max(known))
-        sentences.append(
-            f"Keypoint {worst} is the least certain: {_percent(max(known) / report.size)}."
-        )
+        name = f"Keypoint {worst}" if names is None else names[worst]
+        sentences.append(f"{name} is the least certain: {_percent(max(known) / report.size)}.")
     doubtful = [reason for reason in report.reasons if reason is not None]
     if doubtful:
         most = max(set(doubtful), key=doubtful.count)

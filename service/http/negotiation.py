@@ -50,8 +50,7 @@ def accepted_format(
     for weight, _, media_type in sorted(ranked):
         if weight < 0 and media_type in formats:
             return formats[media_type]
+    known = ", ".join(media_type for media_type in formats if "*" not in media_type)
     raise ApiError(
-        "not_acceptable",
-        f"expected Accept to hold {next(t for t in formats if '*' not in t)}, "
-        f"{OCTETS} (safetensors) or {NPZ}, got {accept[:200]!r}",
+        "not_acceptable", f"expected Accept to hold one of {known}, got {accept[:200]!r}"
     )

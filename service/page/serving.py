@@ -8,14 +8,15 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
 from service.http.authentication import PAGE_FILES
+from service.report.document import STYLE_SOURCE
 
 BUILT = Path(__file__).with_name("built")  # by `page/build.py`; not in the repository
 FOR_EVER = "public, max-age=31536000, immutable"  # names of files change with their content
 # Scripts, styles and requests of the page's own origin alone; pictures and films of the viewer's
-# disk, too, which are never sent.
+# disk, too, which are never sent. What the page opens has its policy, a report with its style, too.
 POLICY = (
-    "default-src 'self'; img-src 'self' blob:; media-src 'self' blob:; object-src 'none'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    f"default-src 'self'; style-src 'self' {STYLE_SOURCE}; img-src 'self' blob:; "
+    "media-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {"Content-Security-Policy": POLICY, "Cache-Control": "no-cache"}
 NOT_BUILT = """<!doctype html>

@@ -186,7 +186,7 @@ class Fit(BaseModel):
     error: FitError | None
     findings: Findings
     verdict: Verdict | None = Field(
-        None, description="What may be relied on, by the findings; null until it has succeeded."
+        None, description="What may be relied on; null until it has succeeded."
     )
 
     @classmethod
@@ -214,7 +214,9 @@ class Fit(BaseModel):
                 "version": record.version,
                 "error": record.error,
                 "findings": found,
-                "verdict": verdict_of(found) if record.status == "succeeded" else None,
+                "verdict": verdict_of(found, record.report_words)
+                if record.status == "succeeded"
+                else None,
                 **labels_of(record),
             }
         )
@@ -321,7 +323,7 @@ add_job_routes(
     cancel=_cancel,
     delete=fits.delete,
     words=Words(
-        delete="Delete a fit that has ended, and its reconstruction; its model stays.",
+        delete="Delete a fit that has ended, its reconstruction and its report; its model stays.",
         cancel="Cancel a queued fit at once, a running one within two seconds.",
         progress="while it goes on",
     ),

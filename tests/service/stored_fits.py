@@ -10,6 +10,7 @@ from models.findings.finding import dumped
 from models.lifting.fitted_prior import FittedPrior
 from store import attempts, fits
 from store.database import Store
+from worker.reports import make_report
 
 
 def put_fit(
@@ -37,6 +38,7 @@ def put_fit(
         reconstruction=save(
             {key: np.concatenate([array] * times) for key, array in lift.arrays.items()}
         ),
+        report=make_report(prior, lift, keypoints, None, (skeleton or {}).get("keypoint_names")),
         progress=None,
         describe={
             "dataset_id": dataset,

@@ -1,0 +1,145 @@
+"""The JSON form of the report on a fit."""
+
+from datetime import datetime
+from typing import Any, Literal
+
+import orjson
+from pydantic import BaseModel, Field
+from typing_extensions import TypeAliasType
+
+from models.findings.finding import Finding
+from models.findings.verdict import Verdict, verdict_of
+from models.settings.config import FitConfig
+from service.wire.cameras import ModelCameras
+from service.wire.findings import Findings
+from service.wire.schemas import QualityReason, Vector2
+from service.wire.skeletons import Edge
+from store.records import FitRecord
+
+UnitSource = TypeAliasType("UnitSource", Literal["known_length", "known_distance", "calibration"])
+USELESS = ("known_distance_not_used", "cameras_not_found")  # with which a distance gives no unit
+
+
+class CameraDirection(BaseModel):
+    """A direction from the subject."""
+
+    azimuth_deg: float = Field(
+        description="About the mean up axis of the cameras, 0 towards the first, growing to its "
+        "left as the subject sees it."
+    )
+    elevation_deg: float
+
+
+class CameraPlace(BaseModel):
+    """A place for one more camera, as far away as the others."""
+
+    direction: CameraDirection
+    expected_error: float = Field(description="With it.")
+
+
+class ViewsWorth(BaseModel):
+    """What some of the views are worth."""
+
+    views: list[int]
+    expected_error: float | None = Field(description="With these alone; null where none is known.")
+
+
+class DrawnView(BaseModel):
+    """Keypoints of a view, pixels."""
+
+    detected: list[Vector2 | None] = Field(description="In step with the first view.")
+    answered: list[Vector2 | None] = Field(description="Where the camera sees the answer.")
+
+
+class DrawnFrame(BaseModel):
+    """A frame in all views."""
+
+    frame: int
+    views: list[DrawnView]
+
+
+class FitReport(BaseModel):
+    """What a fit may be relied on for. Errors and `size` are in the unit of its structures."""
+
+    fit_id: str
+    name: str
+    dataset_id: str
+    model_id: str | None
+    version: str | None = Field(description="Of Fewview that made the fit.")
+    finished_at: datetime | None
+    verdict: Verdict
+    unit: UnitSource | None = Field(
+        description="What gives lengths their unit; null if nothing does, and only shares of "
+        "`size` mean anything."
+    )
+    size: float | None = Field(description="The subject's height, about.")
+    expected_error: float | None = Field(
+        description="Root mean square over points; null where it is not known, as in weak "
+        "perspective."
+    )
+    of_keypoints: list[float | None] = Field(description="Expected error of each keypoint.")
+    of_frames: list[float | None] = Field(description="Expected error of each frame.")
+    quality: list[float | None] = Field(description="Of each frame, 0 to 1.")
+    reasons: list[QualityReason | None] = Field(description="Why it is below 0.5.")
+    noise_px: list[list[float | None]] | None = Field(
+        description="Views x keypoints: standard deviation of a detection's coordinate, pixels."
+    )
+    worst_frames: list[int] = Field(description="The least reliable first.")
+    of_views: list[ViewsWorth] = Field(description="Choices of views, the best first.")
+    cameras: list[CameraDirection] = Field(
+        description="Where the views' cameras are; none unless all are of one static rig."
+    )
+    places: list[CameraPlace] = Field(description="For one more camera; none where they move.")
+    best_place: CameraPlace | None
+    drawn: list[DrawnFrame] = Field(description="The worst frames, or as many as is sensible.")
+    keypoint_names: list[str] | None
+    edges: list[Edge] | None
+    view_names: list[str] | None
+    found_cameras: ModelCameras | None = Field(description="Null if the model was deleted.")
+    views_late: list[float] | None = Field(
+        description="By how many seconds each view is late, by the median; null where all are in "
+        "step, or nothing is known of when."
+    )
+    findings: Findings
+
+
+def report_on(
+    fit: FitRecord,
+    stored: bytes,
+    *,
+    skeleton: dict[str, Any],
+    view_names: list[str] | None,
+    cameras: ModelCameras | None,
+    views_late: list[float] | None,
+) -> FitReport:
+    """Return the report on a fit, of what it stored and what is known of it besides."""
+    found = [Finding.model_validate(each) for each in fit.findings or []]
+    return FitReport.model_validate(
+        orjson.loads(stored)
+        | {
+            "fit_id": fit.id,
+            "name": fit.name,
+            "dataset_id": fit.dataset_id,
+            "model_id": fit.model_id,
+            "version": fit.version,
+            "finished_at": fit.finished_at,
+            "verdict": verdict_of(found, fit.report_words),
+            "unit": _unit_of(FitConfig.model_validate(fit.config), found),
+            "keypoint_names": skeleton.get("keypoint_names"),
+            "edges": skeleton.get("edges"),
+            "view_names": view_names,
+            "found_cameras": cameras,
+            "views_late": views_late,
+            "findings": found,
+        }
+    )
+
+
+def _unit_of(config: FitConfig, findings: list[Finding]) -> UnitSource | None:
+    codes = {finding.code for finding in findings}
+    if config.known_length is not None:
+        return "known_length"
+    if config.known_distance is not None and not codes & set(USELESS):
+        return "known_distance"
+    posed = [camera for camera in config.calibration or () if camera and camera.translation]
+    return "calibration" if len(posed) > 1 else None
