@@ -2,7 +2,7 @@
 
 import logging
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
@@ -12,6 +12,7 @@ from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError, LeaseLostError
 from store.records import FitRecord
+from store.reports import Report
 from store.version import VERSION
 
 logger = logging.getLogger(__name__)
@@ -32,13 +33,6 @@ class Attempt:
     fit_id: str
     number: int
     lease_seconds: float
-
-
-class Report(NamedTuple):
-    """What a fit may be relied on for."""
-
-    words: str  # its verdict
-    data: bytes  # JSON
 
 
 def claim(store: Store, fit_id: str, *, lease_seconds: float) -> Attempt | None:

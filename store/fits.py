@@ -382,25 +382,7 @@ def load_reconstruction(store: Store, fit: FitRecord) -> bytes:
     DamagedError
         If it is not what was stored.
     """
-    return _load(store, fit, reconstruction_key(fit))
-
-
-def load_report(store: Store, fit: FitRecord) -> bytes:
-    """Return the report on a fit (JSON).
-
-    Raises as :func:`load_reconstruction` does, and ``ConflictError`` if there is none.
-    """
-    if fit.report_key is None:
-        reconstruction_key(fit)
-        raise ConflictError(
-            f"There is no report on fit {fit.id!r}: an older version fitted it, or it could not be"
-            " made. Fit the dataset again to have one."
-        )
-    return _load(store, fit, fit.report_key)
-
-
-def _load(store: Store, fit: FitRecord, key: str) -> bytes:
     try:
-        return store.objects.get(key)
+        return store.objects.get(reconstruction_key(fit))
     except FileNotFoundError as error:
         raise lost(store, FitRecord, fit.id, error) from error

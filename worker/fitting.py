@@ -126,14 +126,13 @@ def _run(
     shown = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
     lift = _reconstruct(prior, *shown, times, stopped)
     if lift is not None:
-        names = (dataset.skeleton or {}).get("keypoint_names")
         succeed = partial(
             attempts.succeed,
             store,
             attempt,
             weights=prior.to_bytes(),
             reconstruction=save(lift.arrays),
-            report=advice.attempt(make_report, None, prior, lift, *shown, names),
+            report=advice.attempt(make_report, None, prior, lift, *shown, dataset.skeleton),
             progress=heartbeat.progress,
             describe=_describe(fit, dataset, capture, prior)
             | {"metrics": _finite(evaluate(prior, lift, capture))},

@@ -1,7 +1,6 @@
 """The report on a fit, as it is stored beside the reconstruction."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from models.labelling.filmed import reprojections
 from models.lifting.fit_report import fit_report
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
-from store.attempts import Report
+from store.reports import Report
 
 DIGITS = 5  # that numbers keep: more are noise
 DRAWN_KEYPOINTS = 20_000  # of all views of the worst frames that are drawn, at most
@@ -23,7 +22,7 @@ def make_report(
     lift: LiftedFrames,
     keypoints: NDArray[np.float32],
     confidence: NDArray[np.float32] | None,
-    names: Sequence[str] | None,
+    skeleton: dict[str, Any] | None,
 ) -> Report:
     """Return the report on a fit, with the keypoints of its worst frames.
 
@@ -31,9 +30,10 @@ def make_report(
     ----------
     lift, keypoints, confidence
         All frames of the fit, all views in step.
-    names
-        Of the keypoints.
+    skeleton
+        Of the dataset, whose names the verdict has.
     """
+    names = (skeleton or {}).get("keypoint_names")
     found = fit_report(prior, lift, keypoints, confidence, names)
     _, views, count, _ = keypoints.shape
     drawn = found.worst_frames[: max(1, DRAWN_KEYPOINTS // (views * count))]
@@ -48,6 +48,8 @@ def _drawn(
     frames: list[int],
 ) -> list[dict[str, Any]]:
     """Return what each view shows of some frames, and where it sees the answer; pixels."""
+    if not frames:
+        return []
     chosen = np.isin(np.arange(len(keypoints)), frames)
     places = {int(n): place for place, n in enumerate(np.flatnonzero(chosen))}
     answered = reprojections(lift.frames(chosen).arrays)

@@ -16,7 +16,8 @@ FOR_EVER = "public, max-age=31536000, immutable"  # names of files change with t
 # disk, too, which are never sent. What the page opens has its policy, a report with its style, too.
 POLICY = (
     f"default-src 'self'; style-src 'self' {STYLE_SOURCE}; img-src 'self' blob:; "
-    "media-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "media-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
 )
 HEADERS = {"Content-Security-Policy": POLICY, "Cache-Control": "no-cache"}
 NOT_BUILT = """<!doctype html>

@@ -19,9 +19,10 @@ from service.report.document import POLICY, document_of
 from service.resources.fits import FitDep
 from service.wire.cameras import ModelCameras
 from service.wire.reports import FitReport, report_on
-from store import fits, lookup, records
+from store import lookup, records
 from store.database import Store
 from store.errors import NotFoundError
+from store.reports import load_report
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -71,9 +72,9 @@ def get_report(
 def read_report(fit: records.FitRecord, store: Store, engine: Engine) -> FitReport:
     """Return the report on a fit, with what its dataset and its model know.
 
-    Raises as :func:`store.fits.load_report` does.
+    Raises as :func:`store.reports.load_report` does.
     """
-    stored = fits.load_report(store, fit)
+    stored = load_report(store, fit)
     dataset = _there(store, records.DatasetRecord, fit.dataset_id)
     model = None if fit.model_id is None else _there(store, records.ModelRecord, fit.model_id)
     skeleton = next((each.skeleton for each in (dataset, model) if each and each.skeleton), {})

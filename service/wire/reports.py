@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any, Literal
 
 import orjson
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypeAliasType
 
 from models.findings.finding import Finding
@@ -18,6 +18,64 @@ from store.records import FitRecord
 
 UnitSource = TypeAliasType("UnitSource", Literal["known_length", "known_distance", "calibration"])
 USELESS = ("known_distance_not_used", "cameras_not_found")  # with which a distance gives no unit
+
+
+EXAMPLE: dict[str, Any] = {
+    "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+    "name": "macaque",
+    "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+    "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
+    "version": "0.1.0",
+    "finished_at": "2026-03-01T09:33:00Z",
+    "verdict": {
+        "level": "good",
+        "code": None,
+        "reliable": "Nothing was noticed that limits what may be relied on.",
+        "remedy": "",
+        "expected": "Points are expected within 1.9 % of the subject's size of where they are (root"
+        " mean square).",
+    },
+    "unit": "known_length",
+    "size": 0.58,
+    "expected_error": 0.011,
+    "of_keypoints": [0.009, 0.013],
+    "of_frames": [0.01, None, 0.012],
+    "quality": [0.97, 0.0, 0.41],
+    "reasons": [None, "no_evidence", "views_disagree"],
+    "noise_px": [[1.4, 2.1], [1.2, 2.6]],
+    "worst_frames": [2],
+    "of_views": [
+        {"views": [0, 1], "expected_error": 0.011},
+        {"views": [0], "expected_error": 0.19},
+        {"views": [1], "expected_error": 0.21},
+    ],
+    "cameras": [
+        {"azimuth_deg": 0.0, "elevation_deg": 12.0},
+        {"azimuth_deg": 71.0, "elevation_deg": 9.0},
+    ],
+    "places": [
+        {"direction": {"azimuth_deg": 270.0, "elevation_deg": 0.0}, "expected_error": 0.007}
+    ],
+    "best_place": {
+        "direction": {"azimuth_deg": 270.0, "elevation_deg": 0.0},
+        "expected_error": 0.007,
+    },
+    "drawn": [
+        {
+            "frame": 2,
+            "views": [
+                {"detected": [[512.0, 200.5], None], "answered": [[514.1, 203.2], [530.4, 261.0]]},
+                {"detected": [[301.0, 190.0], [322.5, 251.0]], "answered": [None, None]},
+            ],
+        }
+    ],
+    "keypoint_names": ["head", "tail"],
+    "edges": [[0, 1]],
+    "view_names": ["left", "right"],
+    "found_cameras": None,
+    "views_late": None,
+    "findings": [],
+}
 
 
 class CameraDirection(BaseModel):
@@ -60,6 +118,8 @@ class DrawnFrame(BaseModel):
 
 class FitReport(BaseModel):
     """What a fit may be relied on for. Errors and `size` are in the unit of its structures."""
+
+    model_config = ConfigDict(json_schema_extra={"example": EXAMPLE})
 
     fit_id: str
     name: str

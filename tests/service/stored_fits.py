@@ -38,7 +38,7 @@ def put_fit(
         reconstruction=save(
             {key: np.concatenate([array] * times) for key, array in lift.arrays.items()}
         ),
-        report=make_report(prior, lift, keypoints, None, (skeleton or {}).get("keypoint_names")),
+        report=None if times > 1 else make_report(prior, lift, keypoints, None, skeleton),
         progress=None,
         describe={
             "dataset_id": dataset,

@@ -21,6 +21,7 @@ from store.errors import (
 from store.idempotency import Idempotency
 from store.jobs import MAX_CRASHES
 from store.records import FitRecord, ModelRecord
+from store.reports import Report, load_report
 from store.version import VERSION
 
 DESCRIBE = {
@@ -294,6 +295,23 @@ def test_deleting_a_fit_keeps_its_model(store: Store, fit: FitRecord) -> None:
     fits.delete(store, fit.id)
     assert lookup.get(store, ModelRecord, model_id).fit_id is None
     assert "reconstruction" not in objects(store)
+
+
+def test_a_report_is_kept_with_its_fit_and_goes_with_it(store: Store, fit: FitRecord) -> None:
+    with pytest.raises(ConflictError, match="only a fit that succeeded"):
+        load_report(store, fit)
+    made: dict[str, Any] = {"weights": b"w", "reconstruction": b"r", "describe": DESCRIBE}
+    report = Report("Rely on it.", b"{}")
+    attempts.succeed(store, claim(store, fit), report=report, progress=None, **made)
+    done = lookup.get(store, FitRecord, fit.id)
+    assert (done.report_words, load_report(store, done)) == report
+    assert done.stored_bytes == len(b"r") + len(report.data)
+    housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
+    assert "report" in objects(store)
+    fits.delete(store, fit.id)
+    assert "report" not in objects(store)
+    with pytest.raises(NotFoundError):
+        load_report(store, done)
 
 
 def test_a_lift_in_its_room_keeps_a_fit(store: Store, fit: FitRecord) -> None:

@@ -160,6 +160,7 @@ def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
         execute(older, f"ALTER TABLE datasets DROP COLUMN {column}")
     execute(older, *(f"ALTER TABLE {kind} DROP COLUMN version" for kind in ("fits", "models")))
     execute(older, "ALTER TABLE lifts DROP COLUMN uncertainty")
+    execute(older, *(f"ALTER TABLE fits DROP COLUMN report_{name}" for name in ("key", "words")))
     execute(older, *(f"DROP INDEX ix_{kind}_name" for kind in ("datasets", "fits", "lifts")))
     execute(older, "DROP INDEX ix_models_name", "DROP INDEX ix_models_fit_id")
     execute(older, "DROP INDEX ix_models_dataset_id", "DROP INDEX ix_fits_from_model")
