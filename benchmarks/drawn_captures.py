@@ -60,7 +60,7 @@ class Draw(NamedTuple):
     @property
     def height(self) -> float:
         """The subject's height: four root-mean-square radii of a frame, by the median."""
-        return HEIGHT * _radius(self.points3d)
+        return HEIGHT * radius(self.points3d)
 
     @property
     def seen_twice(self) -> Bool:
@@ -170,7 +170,7 @@ def _walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[
     points = points - np.nanmean(points, 1, keepdims=True)
     walks = bool(rng.random() < 0.6)
     if walks:
-        reach = _radius(points) * rng.uniform(1, 5)
+        reach = radius(points) * rng.uniform(1, 5)
         if clip:
             steps = rng.standard_normal((len(points), 2)).cumsum(0)
             path = steps - steps.mean(0)
@@ -217,7 +217,7 @@ def _poses(
     spread = float(np.sqrt(np.nanmean(np.square(points).sum(-1))))
     share = lens.focals / lens.sizes.min(1)  # of the shorter side
     nearest = np.maximum(extent / (1 - NEAREST), 2.2 * spread * share.max())
-    furthest = HEIGHT * _radius(points) * lens.focals.min() / LEAST_SIZE
+    furthest = HEIGHT * radius(points) * lens.focals.min() / LEAST_SIZE
     furthest = max(nearest * 1.1, min(furthest, 12 * nearest))
     distance = np.exp(rng.uniform(np.log(nearest), np.log(furthest)))
     distances = distance * np.exp(0.1 * np.abs(rng.standard_normal(views)))
@@ -307,5 +307,6 @@ def _radii(points: Float64) -> Float64:
     return radii
 
 
-def _radius(points: Float64) -> float:
+def radius(points: Float64) -> float:
+    """Return the root-mean-square radius of structures (N, P, D), the median over frames."""
     return float(np.nanmedian(_radii(points)))

@@ -4,7 +4,7 @@ Only the benchmark of fidelity uses this: a fit never sees a calibration or a tr
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,10 +60,33 @@ def find_rig(keypoints: ArrayLike, points3d: ArrayLike) -> Rig | None:
 
 
 class TrueLenses(NamedTuple):
-    """Poses and focal lengths, found from the truth with distortion."""
+    """Poses and lenses, found from the truth."""
 
     rotations: Float64  # (K, 3, 3)
-    focals: Float64  # (K,) pixels
+    translations: Float64  # (K, 3)
+    lenses: Float64  # (K, 9): focal lengths, principal point, k1, k2, k3, p1, p2
+
+    @property
+    def focals(self) -> Float64:
+        """Mean focal lengths (K,), pixels."""
+        return np.asarray(self.lenses[:, :2].mean(1))
+
+    @property
+    def calibration(self) -> list[dict[str, Any]]:
+        """The cameras as `FitConfig.calibration` takes them."""
+        return [
+            {
+                "intrinsics": {
+                    **dict(zip(("fx", "fy", "cx", "cy"), lens[:4].tolist(), strict=True)),
+                    "distortion": lens[[4, 5, 7, 8, 6]].tolist(),
+                },
+                "rotation": rotation.tolist(),
+                "translation": translation.tolist(),
+            }
+            for rotation, translation, lens in zip(
+                self.rotations, self.translations, self.lenses, strict=True
+            )
+        ]
 
 
 def find_lenses(keypoints: ArrayLike, points3d: ArrayLike) -> TrueLenses | None:
@@ -78,7 +101,7 @@ def find_lenses(keypoints: ArrayLike, points3d: ArrayLike) -> TrueLenses | None:
         return None
     lenses, poses = _decompose(linear.projections)
     pixels, truth = np.asarray(keypoints, np.float64), np.asarray(points3d, np.float64)
-    rotations, focals = [], []
+    found = []
     for view in range(pixels.shape[1]):
         known = np.isfinite(pixels[:, view]).all(-1) & np.isfinite(truth).all(-1)
         step = max(1, int(known.sum()) // MOST_POINTS)
@@ -90,14 +113,15 @@ def find_lenses(keypoints: ArrayLike, points3d: ArrayLike) -> TrueLenses | None:
         )
 
         def residuals(numbers: Float64, world: Float64 = world, image: Float64 = image) -> Float64:
-            return np.asarray((_distorted(numbers, world) - image).ravel(), np.float64)
+            off = (_distorted(numbers, world) - image).ravel()
+            # Narrow views leave coefficients open: those of lenses are of the order of 1.
+            return np.concatenate((off, numbers[10:]))
 
-        found = least_squares(
-            residuals, start, loss="soft_l1", x_scale=np.abs(start).clip(0.1), max_nfev=300
-        ).x
-        rotations.append(Rotation.from_rotvec(found[:3]).as_matrix())
-        focals.append(found[6:8].mean())
-    return TrueLenses(np.array(rotations), np.array(focals))
+        scale = np.abs(start).clip(0.1)
+        found.append(least_squares(residuals, start, loss="soft_l1", x_scale=scale, max_nfev=300).x)
+    numbers = np.array(found)
+    rotations = Rotation.from_rotvec(numbers[:, :3]).as_matrix()
+    return TrueLenses(rotations, numbers[:, 3:6], numbers[:, 6:])
 
 
 def _distorted(numbers: Float64, world: Float64) -> Float64:

@@ -12,18 +12,16 @@ that of triangulation with the true cameras. The truth takes no part in any fit.
 import argparse
 import json
 import time
-import traceback
-import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_captures import Draw, draw_capture
+from benchmarks.drawn_captures import Draw
+from benchmarks.draws import add_options, of_draws
 from benchmarks.figures import print_table
 from benchmarks.motions import HALVES
 from benchmarks.oracle import by_oracle
@@ -38,7 +36,6 @@ from models.epipolar.static_cameras import SeenPoints, StaticCameras
 from models.findings.finding import Finding
 from models.lifting.lift import LiftedFrames
 from models.numerics.steps import finished
-from models.numerics.threads import use_threads
 from models.optics.lenses.projection import Lenses, project
 from models.settings.config import FitConfig
 from models.settings.lenses import Lens
@@ -87,13 +84,10 @@ class Row(NamedTuple):
 def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
-    jobs = [(number, arguments) for number in arguments.only or range(*arguments.draws)]
     rows = []
-    with get_context("spawn").Pool(arguments.processes, _quiet) as pool:
-        for row in pool.imap(_measured, jobs):
-            if row is not None:
-                rows.append(row)
-                print(_line(row), flush=True)
+    for row in of_draws(_measured, arguments, arguments.half):
+        rows.append(row)
+        print(_line(row), flush=True)
     print_table("Shares", summary(rows))
     if arguments.json:
         arguments.json.write_text(json.dumps([row._asdict() for row in rows]) + "\n")
@@ -102,35 +96,20 @@ def main() -> None:
 def parse_arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Measure fits on drawn rigs and motions.")
-    parser.add_argument("--draws", type=int, nargs=2, default=(0, 60), help="first and end")
-    parser.add_argument("--only", type=int, nargs="+", help="these draws alone")
+    add_options(parser)
     parser.add_argument("--half", choices=HALVES, help="draw the motions of this half")
     parser.add_argument("--pairs", action="store_true", help="static pairs alone")
     parser.add_argument("--lenses", type=float, help="give focal lengths so far off, as a share")
     parser.add_argument("--geometry", action="store_true", help="stop before the network")
-    parser.add_argument("--data", type=Path, help="folder of captures with `points3d`")
     parser.add_argument("--oracle", type=Path, help="a module with `find` and `structure`")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--json", type=Path, help="write the results to this file")
     return parser.parse_args()
 
 
-def _quiet() -> None:
-    warnings.simplefilter("ignore")
-    use_threads(1)
-
-
-def _measured(job: tuple[int, argparse.Namespace]) -> Row | None:
-    number, arguments = job
-    draw = draw_capture(number, arguments.data, arguments.half)
-    if draw is None or (arguments.pairs and (draw.moving or draw.keypoints.shape[1] > 2)):
+def _measured(draw: Draw, arguments: argparse.Namespace) -> Row | None:
+    if arguments.pairs and (draw.moving or draw.keypoints.shape[1] > 2):
         return None
     found = by_geometry if arguments.geometry else by_fit
-    try:
-        return measure(draw, partial(found, config=_given(draw, arguments)), arguments.oracle)
-    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
-        print(f"draw {number}: {traceback.format_exc()}", flush=True)
-        return None
+    return measure(draw, partial(found, config=_given(draw, arguments)), arguments.oracle)
 
 
 def _given(draw: Draw, arguments: argparse.Namespace) -> FitConfig:
