@@ -11,6 +11,7 @@ LEVELS = 9  # of a colour, above none
 WIDE, HIGH = 600, 100  # of a curve
 RING = 100.0  # the radius of the horizon
 HORIZON, PER_DEGREE = 0.86 * RING, 0.28 * RING / 30  # where elevation 0 is, and how it rises
+NOTABLE = 0.3  # of the error: less than this looks pale, though it is the best
 MARGIN = 0.06  # about what a view shows
 Point = Sequence[float] | None
 
@@ -98,7 +99,8 @@ def worth(report: FitReport, names: Sequence[str]) -> list[Bar]:
 def heat(rows: Sequence[Sequence[float | None]]) -> list[list[Cell]]:
     """Return cells of rows of numbers."""
     known = [value for row in rows for value in row if value is not None]
-    least, most = min(known, default=0.0), max(known, default=0.0)
+    most = max(known, default=0.0)
+    least = min(*known, most / 2) if known else 0.0  # else small differences would look large
     spread = (most - least) or 1.0
     return [
         [
@@ -165,7 +167,7 @@ def sectors(report: FitReport) -> list[Sector]:
     half = 180 / len(azimuths)
     tall = (heights[1] - heights[0]) / 2 if len(heights) > 1 else 15.0
     gains = [1 - place.expected_error / report.expected_error for place in report.places]
-    most = max(*gains, 0.0) or 1.0
+    most = max(*gains, NOTABLE)
     return [
         Sector(_sector(place.direction, half, tall), place, round(LEVELS * max(gain, 0.0) / most))
         for place, gain in zip(report.places, gains, strict=True)

@@ -72,6 +72,19 @@ def test_from_files_to_3d(served: Served, tmp_path: Path) -> None:
     assert fewview(*command, "--uncertainty=some").returncode == 2
 
     fit = str(served.client.models.get(model).fit_id)
+    expected = served.client.fits.report(fit).verdict.expected
+    assert expected is not None
+    printed = fewview("report", fit, url).stdout
+    assert expected in printed
+    assert "expected error" in printed
+    report = said(fewview("report", fit, "--json", url))
+    assert report["verdict"]["expected"] == expected
+    page = tmp_path / "report.html"
+    assert fewview("report", fit, "-o", str(page), url).returncode == 0
+    assert page.read_text().startswith("<!doctype html>")
+    assert said(fewview("report", fit, "--json", "-o", str(page), url))["file"] == str(page)
+    assert json.loads(page.read_text()) == report
+    assert "fit_0" in refused(fewview("report", "fit_0", url), 2)
     out = tmp_path / "out"
     exported = said(fewview("export", fit, "-o", str(out), "--formats=csv,npz", "--json", url))
     written = {Path(file).name for file in exported["files"]}

@@ -16,6 +16,7 @@ from fewview.api.jobs import Jobs
 from fewview.api.label_forms import FitLabels
 from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
+from fewview.api.report_forms import FitReport
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import labels
 
@@ -118,6 +119,28 @@ class Fits(Jobs[Driver, Fit]):
                 params={"refine": refine, "uncertainty": uncertainty, **room_query(frame, up)},
                 headers=headers,
             )
+        )
+
+    @operation
+    def report(self, fit: Fit | str) -> Steps[FitReport]:
+        """Return what a fit may be relied on for, to how much, and what would help most.
+
+        Raises
+        ------
+        Conflict
+            The fit has not succeeded, or an older version made it.
+        """
+        where = path("fits", identifier(fit), "report")
+        return self._call(
+            Request("GET", where, form_in(FitReport), headers={"Accept": "application/json"})
+        )
+
+    @operation
+    def report_page(self, fit: Fit | str) -> Steps[str]:
+        """Return the report as a page of HTML, which needs nothing else; raises as `report`."""
+        where = path("fits", identifier(fit), "report")
+        return self._call(
+            Request("GET", where, lambda found: found.text, params={"format": "html"})
         )
 
     @operation

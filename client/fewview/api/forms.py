@@ -144,12 +144,16 @@ class FitProgress:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What may be relied on of a fit, by the finding of that ``code``; None if it is good."""
+    """What may be relied on of a fit, by the finding of that ``code``; None if it is good.
+
+    ``expected`` words its report: how far points may be off. None where there is none.
+    """
 
     level: str  # good, caution or serious
     code: str | None
     reliable: str
     remedy: str  # what would help most
+    expected: str | None = None
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,7 @@ def in_words(result: dict[str, Any]) -> str:
     ]
     if result.get("verdict"):
         lines.append(f"{result['verdict']['level']:<10} {result['verdict']['reliable']}")
+        lines += [f"           {words}" for words in [result["verdict"]["expected"]] if words]
     for finding in result["findings"]:
         lines.append(
             f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"

@@ -138,5 +138,7 @@ def findings_in(result: Mapping[str, Any]) -> Iterator[str]:
     verdict = result.get("verdict")
     if verdict:
         yield f"{verdict['level']}: {verdict['reliable']}"
+        if verdict.get("expected"):
+            yield verdict["expected"]
     for finding in result.get("findings", ()):
         yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"

@@ -14,6 +14,7 @@ import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { Labels } from "./labels.tsx";
 import { Legend } from "./legend.tsx";
+import { ReportLink } from "./report_link.tsx";
 import type { Stage } from "./scene/scene.ts";
 import { KnownPanel } from "../remedies/known_panel.tsx";
 import { Remediable } from "../remedies/provider.tsx";
@@ -46,6 +47,14 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
   return (
     <Both show={show}>
       <div class="result" aria-busy={!show.done}>
+        <Verdict verdict={fit.verdict} framesDoubted={findings.length > fit.findings.length}>
+          {fit.verdict?.expected && (
+            <>
+              {" "}
+              <ReportLink fit={fit.id} />
+            </>
+          )}
+        </Verdict>
         <div class="screens">
           <TwoStages stage={stage} onStage={setStage} />
           <section class="views" aria-label="Views" data-count={take.views}>
@@ -65,7 +74,6 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
           <div class="stack">
             <section class="panel">
               <h2>What was noticed</h2>
-              <Verdict verdict={fit.verdict} framesDoubted={findings.length > fit.findings.length} />
               <WorstFrames />
               <Remediable subject={subject}>
                 <FindingList
