@@ -90,7 +90,7 @@ class Denoiser(NamedTuple):
         pixels, observed = pixels_of(observations)
         rows = (len(pixels), mean.size)
         offsets = np.where(observed[..., None], (pixels - mean) / noise, 0).reshape(rows)  # (N, D)
-        shown = np.repeat(observed.reshape(len(pixels), -1), 2, axis=1)
+        shown = np.repeat(observed.reshape(len(pixels), mean.size // 2), 2, axis=1)
         expected = np.empty_like(offsets)
 
         def denoise_part(part: slice) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import VIEW, Rig
+from models.bundle.problem import FOCAL, VIEW, Rig
 from models.capture.observations import Observations
 from models.network.answers import Answers
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
@@ -21,6 +21,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 POSTERIOR_KIND = "corrected"  # in files
+UNKNOWN_LENS = 0.15  # deviation of the log focal length of a camera that the fit does not know
 MOST_COMPONENTS, MOST_FACTORS = 64, 64  # that a file may hold
 
 
@@ -95,7 +96,9 @@ class Posterior(NamedTuple):
 
     def _factor_of(self, views: Sequence[int] | None, seen: Observations) -> Float64:
         if views is None:
-            return np.zeros((seen.weights.shape[1], *self.factor.shape[1:]))
+            factor = np.zeros((seen.weights.shape[1], VIEW, seen.weights.shape[1]))
+            factor[:, FOCAL] = UNKNOWN_LENS * np.eye(len(factor))
+            return factor
         return np.ascontiguousarray(self.factor[list(views)])
 
     def to_arrays(self) -> Arrays:

@@ -23,6 +23,9 @@ REASONS: tuple[Reason, ...] = ("little_evidence", "views_disagree", "unlike_fit"
 NO_EVIDENCE = len(REASONS)  # as in `quality_of`: 0 is no reason
 DOUBTFUL = 0.5  # a quality below this has a reason
 FIGURES = 3
+# Frames of captures without noise differ by more than they need to: deviations of a hundredth of
+# the radius, and a third of the misfits that noise and shapes let expect.
+LEAST_USUAL = np.array([0.01, 0.3, 0.3])
 
 
 def quality_of(figures: Float64, usual: Float64) -> tuple[Float32, UInt8]:
@@ -36,7 +39,7 @@ def quality_of(figures: Float64, usual: Float64) -> tuple[Float32, UInt8]:
     figures, usual
         (N, 3), and (3,) medians in the fit, 0 if they are not known.
     """
-    excess = np.maximum(figures / np.where(usual > 0, usual, np.nan), 1.0)
+    excess = np.maximum(figures / np.where(usual > 0, usual.clip(LEAST_USUAL), np.nan), 1.0)
     quality = 1 / np.sqrt(excess.prod(1))
     known = np.isfinite(quality)
     worst = np.where(known[:, None], excess, 1.0).argmax(1) + 1
