@@ -9,7 +9,7 @@ truth is held against the answers (`coverage.py`). It takes no part in any fit.
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -68,20 +68,27 @@ def main() -> None:
     """Run the command line."""
     arguments = parse_arguments()
     rows = [Row(**row) for path in arguments.add for row in json.loads(path.read_text())]
-    if arguments.captures:
-        found = in_pool(partial(_of_cell, arguments), cells(), arguments.processes)
-        rows += [_shown(row) for row in found]
-    else:
-        for half in arguments.half or [None]:
-            found = of_draws(_of_draw, arguments, half)
-            rows += [_shown(replace(row, half=half or "")) for row in found]
+    for row in _measured(arguments):
+        rows.append(row)
+        print(_line(row), flush=True)
+        if arguments.json:  # again and again: a long run may be ended
+            arguments.json.write_text(json.dumps([asdict(one) for one in rows]) + "\n")
     print_table(
         "How well deviations hold", summary(rows, "cells" if arguments.captures else "draws")
     )
-    if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(row) for row in rows]) + "\n")
     if arguments.picture:
         draw_reliability(LEVELS, curves(rows), arguments.picture)
+
+
+def _measured(arguments: argparse.Namespace) -> Iterator[Row]:
+    if arguments.captures:
+        every = cells()
+        some = [every[n] for n in arguments.only] if arguments.only else every
+        yield from in_pool(partial(_of_cell, arguments), some, arguments.processes)
+        return
+    for half in arguments.half or [None]:
+        for row in of_draws(_of_draw, arguments, half):
+            yield replace(row, half=half or "")
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -89,7 +96,11 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Hold errors against expected ones.")
     add_options(parser)
     parser.add_argument("--half", choices=HALVES, nargs="+", help="draw the motions of these")
-    parser.add_argument("--captures", action="store_true", help="cells of captures, not draws")
+    parser.add_argument(
+        "--captures",
+        action="store_true",
+        help="cells of captures, not draws; --only has their numbers",
+    )
     parser.add_argument("--harmed", action="store_true", help="also measure quality of frames")
     parser.add_argument("--picture", type=Path, help="draw nominal and observed shares, as SVG")
     parser.add_argument(
@@ -259,7 +270,7 @@ def curves(rows: Sequence[Row]) -> list[Curve]:
     return found
 
 
-def _shown(row: Row) -> Row:
+def _line(row: Row) -> str:
     def percent(values: Sequence[float]) -> str:
         return " ".join(f"{values[LEVELS.index(level)]:.0%}" for level in SHOWN)
 
@@ -276,8 +287,7 @@ def _shown(row: Row) -> Row:
         "quality": f"{row.quality:.2f}",
     }
     known = [f"{name} {figure}" for name, figure in figures.items() if "nan" not in figure]
-    print(f"{row.name} {row.words} | {' | '.join(known)}", flush=True)
-    return row
+    return f"{row.name} {row.words} | {' | '.join(known)}"
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-GREY = "#767676"  # legible on white and on dark grey
+GREY = "#808080"  # legible on white and on dark grey
 COLOURS = ("#d1495b", "#1b98ae")
 SLACK = 0.06  # of the nominal share, that is shaded
 
@@ -58,4 +58,4 @@ def _draw_panel(axes: Axes, panel: str, levels: Sequence[float], curves: Sequenc
     axes.set(title=panel, xlabel="nominal, %", ylabel="observed, %", xlim=(0, 100), ylim=(0, 100))
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, frameon=False, loc="upper left")
+    axes.legend(fontsize=9, frameon=False, loc="upper left")
