@@ -36,7 +36,7 @@ class Posterior(NamedTuple):
     # In keypoints of the fit's views, as in `Noise`:
     left: Float64  # (2,)
     corrections: Float64  # (2, K + 1)
-    # (3,) medians of the frames' figures, as in `models.posterior.quality`; 0 if not known
+    # (3,) figures of frames, as in `models.posterior.quality`; 0 if not known
     usual: Float64
 
     def deviations(

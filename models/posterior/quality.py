@@ -1,8 +1,8 @@
 """How far a frame may be relied on, against the frames of the fit.
 
-Three figures of a frame are compared with their medians in the fit: how large the deviations of its
-points are, how far its keypoints lie from where its cameras see these points, and how unlike the
-shapes of the fit its structure is.
+Three figures of a frame are compared with what nine in ten frames of the fit are below: how large
+the deviations of its points are, how far its keypoints lie from where its cameras see these points,
+and how unlike the shapes of the fit its structure is.
 """
 
 from typing import Literal
@@ -23,6 +23,7 @@ REASONS: tuple[Reason, ...] = ("little_evidence", "views_disagree", "unlike_fit"
 NO_EVIDENCE = len(REASONS)  # as in `quality_of`: 0 is no reason
 DOUBTFUL = 0.5  # a quality below this has a reason
 FIGURES = 3
+USUAL_SHARE = 0.9  # of the frames of a fit, that are below the usual figures
 # Frames of captures without noise differ by more than they need to: deviations of a hundredth of
 # the radius, and a third of the misfits that noise and shapes let expect.
 LEAST_USUAL = np.array([0.01, 0.3, 0.3])
@@ -37,7 +38,7 @@ def quality_of(figures: Float64, usual: Float64) -> tuple[Float32, UInt8]:
     Parameters
     ----------
     figures, usual
-        (N, 3), and (3,) medians in the fit, 0 if they are not known.
+        (N, 3), and (3,) those that nine in ten frames of the fit are below; 0 if not known.
     """
     excess = np.maximum(figures / np.where(usual > 0, usual.clip(LEAST_USUAL), np.nan), 1.0)
     quality = 1 / np.sqrt(excess.prod(1))

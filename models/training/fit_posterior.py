@@ -18,6 +18,7 @@ from models.posterior.deviations import frames_as_detected
 from models.posterior.frames import Frames
 from models.posterior.learning import learn_posterior
 from models.posterior.posterior import Posterior
+from models.posterior.quality import USUAL_SHARE
 from models.posterior.responses import (
     STEP,
     corrections_where_hidden,
@@ -155,12 +156,12 @@ def _as_seen(observed: ObservedFrames) -> tuple[Observations, Float32, Bool]:
 
 
 def _usual(lifts: _Lifts, detected: Observations) -> Float64:
-    """Return the median figures (3,) of the frames."""
+    """Return the usual figures (3,) of the frames."""
     lift, observed = lifts.lift(pixels_of(detected)[0], detected.weights, None)
     found = lifts.posterior.deviations(
         lift, lifts.rig, observed.views, *_as_seen(observed), modes=False
     )
-    return np.asarray(np.nanmedian(found.figures, 0))
+    return np.asarray(np.nanquantile(found.figures, USUAL_SHARE, 0))
 
 
 def _response(lifts: _Lifts, detected: Observations, times: Float64 | None) -> Float64:
