@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fewview.api.report_forms import FitReport
 
 MOST = 10  # rows of a table
+TEN, WHOLE = 10.0, 100.0  # percent
 
 
 def report(
@@ -75,5 +76,6 @@ def _length(error: float | None, found: "FitReport") -> str:
     """Return a length as a share of the subject's height, and in its unit if it has one."""
     if error is None or not found.size:
         return "-"
-    share = f"{100 * error / found.size:.2g} %" if error < found.size else "over 100 %"
+    percent = 100 * error / found.size
+    share = f"{percent:.{0 if percent >= TEN else 1}f} %" if percent <= WHOLE else "over 100 %"
     return share if found.unit is None else f"{error:.3g} ({share})"
