@@ -257,16 +257,13 @@ def _middle(values: Sequence[float] | Float64, form: str) -> str:
 
 
 def curves(rows: Sequence[Row]) -> list[Curve]:
-    """Return medians over draws for each half, of pairs and of more views."""
+    """Return the medians over the draws of each half."""
     found = []
-    for panel in ("points", "ratios"):
-        for colour, half in enumerate(sorted({row.half for row in rows})):
-            for pairs in (False, True):
-                some = [row for row in rows if row.half == half and (row.views == 2) == pairs]
-                if some:
-                    observed = np.nanmedian([getattr(row, panel) for row in some], 0).tolist()
-                    label = f"{half}, {'pairs' if pairs else 'three views or more'}"
-                    found.append(Curve(label.lstrip(", "), TITLES[panel], observed, colour, pairs))
+    for name, title in TITLES.items():
+        for half in HALVES:
+            shares_of = [getattr(row, name) for row in rows if row.half == half]
+            if shares_of:
+                found.append(Curve(half, title, np.nanmedian(shares_of, 0)))
     return found
 
 

@@ -8,6 +8,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
 
 GREY = "#808080"  # legible on white and on dark grey
 COLOURS = ("#d1495b", "#1b98ae")
@@ -15,13 +18,11 @@ SLACK = 0.06  # of the nominal share, that is shaded
 
 
 class Curve(NamedTuple):
-    """Observed shares of one kind of draws."""
+    """Observed shares of one half of the draws."""
 
     label: str
     panel: str  # what is counted
-    observed: Sequence[float]  # for each level
-    colour: int  # place in `COLOURS`
-    dashed: bool
+    observed: Float64  # for each level
 
 
 def draw_reliability(levels: Sequence[float], curves: Sequence[Curve], path: Path) -> None:
@@ -51,10 +52,9 @@ def _draw_panel(axes: Axes, panel: str, levels: Sequence[float], curves: Sequenc
     ends = np.array([0.0, 100.0])
     axes.fill_between(ends, ends - 100 * SLACK, ends + 100 * SLACK, color=GREY, alpha=0.2, lw=0)
     axes.plot(ends, ends, color=GREY, lw=0.8)
-    for curve in curves:
+    for curve, colour in zip(curves, COLOURS, strict=False):
         observed = 100 * np.array([0.0, *curve.observed, 1.0])
-        style = "--" if curve.dashed else "-"
-        axes.plot(nominal, observed, style, color=COLOURS[curve.colour], label=curve.label)
+        axes.plot(nominal, observed, "o-", markersize=3, color=colour, label=curve.label)
     axes.set(title=panel, xlabel="nominal, %", ylabel="observed, %", xlim=(0, 100), ylim=(0, 100))
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
