@@ -153,7 +153,7 @@ def _where(place: Direction) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
+    return f"{float(f'{100 * share:.2g}'):g} %"
 
 
 def _number(value: float) -> float | None:

@@ -30,7 +30,7 @@ FEWEST = 20  # hidden points from which a correction is learnt
 # Of a correction that makes deviations smaller, on a logarithmic scale: lifts follow noise less
 # where they know more, and where their shapes are too stiff.
 TRUSTED = 0.5
-OF_PAIRS = 1.2  # where too stiff a shape can not be seen
+OF_PAIRS = 1.1  # where too stiff a shape can not be seen
 
 
 def white_steps(shape: tuple[int, ...], repeating: float) -> Float64:
