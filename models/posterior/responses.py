@@ -31,6 +31,7 @@ FEWEST = 20  # hidden points from which a correction is learnt
 # where they know more, and where their shapes are too stiff.
 TRUSTED = 0.5
 OF_PAIRS = 1.1  # where too stiff a shape can not be seen
+OF_REMOVED = 1.15  # where noise is removed, and with it some of the motion
 
 
 def white_steps(shape: tuple[int, ...], repeating: float) -> Float64:
@@ -54,11 +55,18 @@ def repetition(frames: Frames) -> float:
 
 
 def response_of(
-    frames: Frames, moved: Frames, steps: Float64, shapes: LearntShapes, noise: Float64
+    frames: Frames,
+    moved: Frames,
+    steps: Float64,
+    shapes: LearntShapes,
+    noise: Float64,
+    *,
+    removed: bool = False,
 ) -> Float64:
     """Return what to multiply deviations by (K + 1,), by how many views show a point.
 
-    Where fewer than two do, this does not show it, and nothing is corrected.
+    Where fewer than two do, this does not show it, and nothing is corrected. `removed` is whether
+    noise was removed before the lift.
 
     Parameters
     ----------
@@ -82,9 +90,9 @@ def response_of(
         usual = POOLED * expected[some].mean() if some.any() else 1.0
         out[count] = _ratio(followed[some].sum() + usual * pool, expected[some].sum() + usual, pool)
     out = np.sqrt(out.clip(LEAST**2, MOST_CORRECTION**2))
-    if views == 2:
-        return np.asarray(np.where(np.arange(3) < 2, 1.0, OF_PAIRS * out.clip(1.0)))
-    return np.asarray(np.where(out < 1, out**TRUSTED, out))
+    out = OF_PAIRS * out.clip(1.0) if views == 2 else np.where(out < 1, out**TRUSTED, out)
+    several_views = np.arange(views + 1) > 1
+    return np.where(several_views, OF_REMOVED * out if removed else out, 1.0)
 
 
 def hide_some(shown: Bool) -> Bool:

@@ -156,12 +156,13 @@ def _as_seen(observed: ObservedFrames) -> tuple[Observations, Float32, Bool]:
 
 
 def _usual(lifts: _Lifts, detected: Observations) -> Float64:
-    """Return the usual figures (3,) of the frames."""
+    """Return the usual figures (3,) of the frames; 0 if none has a perspective camera."""
     lift, observed = lifts.lift(pixels_of(detected)[0], detected.weights, None)
     found = lifts.posterior.deviations(
         lift, lifts.rig, observed.views, *_as_seen(observed), modes=False
     )
-    return np.asarray(np.nanquantile(found.figures, USUAL_SHARE, 0))
+    known = found.figures[np.isfinite(found.figures).all(1)]
+    return np.quantile(known, USUAL_SHARE, 0) if len(known) else lifts.posterior.usual
 
 
 def _response(lifts: _Lifts, detected: Observations, times: Float64 | None) -> Float64:
@@ -171,7 +172,9 @@ def _response(lifts: _Lifts, detected: Observations, times: Float64 | None) -> F
     moved = pixels + STEP * noise[:, :, None] * steps
     moved_frames, also = lifts.frames(moved, detected.weights, times)
     frames = _only(frames, there & also)
-    return response_of(frames, moved_frames, steps, lifts.posterior.shapes, noise)
+    removed = bool(lifts.posterior.left[0 if times is None else 1] < 1)
+    shapes = lifts.posterior.shapes
+    return response_of(frames, moved_frames, steps, shapes, noise, removed=removed)
 
 
 def _where_hidden(lifts: _Lifts, detected: Observations) -> Float64:
