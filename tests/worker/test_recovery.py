@@ -42,7 +42,7 @@ from tests.worker.conftest import (
 from worker.queue import enqueue, open_queue
 from worker.settings import WorkerSettings
 
-SLOW = CONFIG | {"steps": 300, "refine": "off"}
+SLOW = CONFIG | {"steps": 450, "refine": "off"}
 BRIEF = CONFIG | {"steps": 2, "refine": "off"}
 
 
@@ -72,7 +72,7 @@ def assert_as_if_nothing_had_happened(store: Store, fit: FitRecord, undisturbed:
     # A kill between writing a checkpoint and recording it leaves an object, which the sweep takes.
     housekeeping.sweep(store, orphan_seconds=-1, grace_seconds=-1)
     kinds = {re.split("[_.]", key.split("/")[2])[0] for key, _ in store.objects.list()}
-    assert kinds == {"chunk", "weights", "reconstruction"}
+    assert kinds == {"chunk", "weights", "reconstruction", "report"}
 
 
 @scaled_is_thorough
