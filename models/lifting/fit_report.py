@@ -15,6 +15,7 @@ from models.posterior.quality import REASONS
 from models.posterior.views_worth import (
     Direction,
     Place,
+    ViewsWorth,
     directions_of,
     expected_error,
     worth_of_places,
@@ -34,13 +35,6 @@ WORDS = {
     "unlike_fit": "structures unlike the fit's",
     "no_evidence": "no structure",
 }
-
-
-class ViewsWorth(NamedTuple):
-    """The expected error with some of the views."""
-
-    views: tuple[int, ...]
-    expected_error: float
 
 
 class FitReport(NamedTuple):
@@ -166,7 +160,7 @@ def _root_mean(squares: Float64) -> float | None:
 
 
 def _worst(lift: LiftedFrames) -> list[int]:
-    """Return frames with a structure of low quality, and then those whose points are least sure."""
+    """Return the frames of least quality that have a structure."""
     there = np.isfinite(lift.points3d).any((1, 2)) & np.isfinite(lift.quality)
     order = np.argsort(np.where(there, lift.quality, np.inf), kind="stable")
     return [int(n) for n in order[:WORST] if there[n]]
@@ -198,7 +192,10 @@ def _of_cameras(
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MOST_FRAMES, len(chosen))).astype(int)]
     kept = np.isin(np.arange(len(there)), chosen)
     rig = sub_rig(found, range(views), views)
-    seen = prior.observe(keypoints, confidence=confidence).frames(kept)
+    seen = prior.observe(
+        np.asarray(keypoints)[kept],
+        confidence=None if confidence is None else np.asarray(confidence)[kept],
+    )
     frames = frames_as_detected(
         some.frames(kept),
         rig,
@@ -212,7 +209,10 @@ def _of_cameras(
     )
     given = posterior.shapes, posterior.factor, posterior.corrections[0]
     unit = expected / expected_error(frames, *given)
-    of_views = [ViewsWorth(some, unit * error) for some, error in worth_of_views(frames, *given)]
+    of_views = [
+        ViewsWorth(worth.views, unit * worth.expected_error)
+        for worth in worth_of_views(frames, *given)
+    ]
     typical = float(np.median(posterior.noise))
     places = [
         Place(place.direction, unit * place.expected_error)

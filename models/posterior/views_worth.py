@@ -31,6 +31,13 @@ class Place(NamedTuple):
     expected_error: float
 
 
+class ViewsWorth(NamedTuple):
+    """The expected error with some of the views."""
+
+    views: tuple[int, ...]
+    expected_error: float
+
+
 def subsets_of(views: int) -> list[tuple[int, ...]]:
     """Return all choices of views, or if these are many the small ones and the large ones."""
     sizes = sorted(range(1, views + 1), key=lambda size: min(size, views + 1 - size))
@@ -60,7 +67,7 @@ def expected_error(
 
 def worth_of_views(
     frames: Frames, shapes: LearntShapes, factor: Float64, corrections: Float64
-) -> list[tuple[tuple[int, ...], float]]:
+) -> list[ViewsWorth]:
     """Return the expected error of each choice of the views, the best first.
 
     Answers are those of all views, and cameras are known as well as all frames determine them.
@@ -70,8 +77,10 @@ def worth_of_views(
         shown = np.zeros(frames.weights.shape[1])
         shown[list(chosen)] = 1.0
         some = frames._replace(weights=frames.weights * shown[:, None])
-        found.append((chosen, expected_error(some, shapes, factor, corrections)))
-    return sorted(found, key=lambda item: (np.nan_to_num(item[1], nan=np.inf), len(item[0])))
+        found.append(ViewsWorth(chosen, expected_error(some, shapes, factor, corrections)))
+    return sorted(
+        found, key=lambda worth: (np.nan_to_num(worth.expected_error, nan=np.inf), worth.views)
+    )
 
 
 def worth_of_places(
