@@ -8,7 +8,13 @@ from scipy.linalg import block_diag
 from models.bundle.problem import LENS, VIEW
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, project
-from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
+from models.posterior.frames import (
+    Covariances,
+    Frames,
+    LearntShapes,
+    covariances_of,
+    scores_of,
+)
 
 Float64 = NDArray[np.float64]
 
@@ -131,14 +137,21 @@ class Case:
         return jacobian.T @ jacobian, there
 
 
-def without_gauge(points: Float64, covariance: Float64, size: int) -> Float64:
-    """Project a covariance (3 P, 3 P) off translations, rotations and, of seven, growth."""
+def without_gauge(points: Float64, size: int) -> Float64:
+    """Return the projection (3 P, 3 P) off translations, rotations and, of seven, growth."""
     away = points - points.mean(0)
     turns = [np.cross(axis, away).ravel() for axis in np.eye(3)]
-    shifts = [np.tile(axis, POINTS) for axis in np.eye(3)]
+    shifts = [np.tile(axis, len(points)) for axis in np.eye(3)]
     axes = np.linalg.qr(np.stack([*shifts, *turns, away.ravel()][:size], 1))[0]
-    keep = np.eye(len(axes)) - axes @ axes.T
-    return np.asarray(keep @ covariance @ keep)
+    return np.asarray(np.eye(len(axes)) - axes @ axes.T)
+
+
+def dense(found: Covariances, n: int) -> Float64:
+    """Return the covariance (3 P, 3 P) of all coordinates of frame n."""
+    columns = np.concatenate((found.modes[n], found.by_cameras[n]), -1)
+    columns = columns.reshape(-1, columns.shape[-1])
+    apart = 1 - block_diag(*np.ones((len(found.blocks[n]), 3, 3)))
+    return np.asarray(block_diag(*found.blocks[n]) + columns @ columns.T * apart)
 
 
 CASES = [[True, True, True], [True, True], [False, False, False], [True, True, False], [True]]
@@ -163,14 +176,11 @@ def test_covariances_are_those_of_the_dense_posterior(joined: list[bool], shared
     steps = np.tile(np.r_[LENS_STEPS, np.ones(VIEW - LENS)], views)
     follow = -(inverse @ by_camera)[: 3 * POINTS] @ (factor.reshape(numbers, -1) / steps[:, None])
     sized = 6 if sum(joined) > 1 else 7
-    expected = without_gauge(case.points, inverse[: 3 * POINTS, : 3 * POINTS], sized)
-    expected += without_gauge(case.points, np.asarray(follow @ follow.T), 7)
-    columns = np.concatenate((found.modes[0], found.by_cameras[0]), -1).reshape(3 * POINTS, -1)
-    ours = block_diag(*found.blocks[0])
-    ours += columns @ columns.T * (1 - block_diag(*np.ones((POINTS, 3, 3))))
-    np.testing.assert_allclose(
-        without_gauge(case.points, ours, sized), expected, rtol=2e-3, atol=1e-8
-    )
+    kept, of_cameras = without_gauge(case.points, sized), without_gauge(case.points, 7)
+    expected = kept @ inverse[: 3 * POINTS, : 3 * POINTS] @ kept
+    expected += of_cameras @ follow @ follow.T @ of_cameras
+    ours = kept @ dense(found, 0) @ kept
+    np.testing.assert_allclose(ours, expected, rtol=2e-3, atol=1e-8)
 
 
 @pytest.mark.parametrize("joined", CASES[:4])
