@@ -28,6 +28,7 @@ PACKAGES = {
         ("network",),
         ("bundle",),
         ("calibrating",),
+        ("causes",),
         ("posterior",),
         ("lifting",),
         ("labelling",),

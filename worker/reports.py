@@ -7,6 +7,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from models.causes.cause import Cause, unmended
 from models.labelling.filmed import reprojections
 from models.lifting.fit_report import fit_report
 from models.lifting.fitted_prior import FittedPrior
@@ -37,7 +38,9 @@ def make_report(
     found = fit_report(prior, lift, keypoints, confidence, names)
     _, views, count, _ = keypoints.shape
     drawn = found.worst_frames[: max(1, DRAWN_KEYPOINTS // (views * count))]
-    document = _plain(found) | {"drawn": _drawn(lift, keypoints, confidence, drawn)}
+    document = _plain(found) | {
+        "drawn": _drawn(lift, keypoints, confidence, drawn, prior.capture.mends)
+    }
     return Report(found.verdict, orjson.dumps(document))
 
 
@@ -46,13 +49,14 @@ def _drawn(
     keypoints: NDArray[np.float32],
     confidence: NDArray[np.float32] | None,
     frames: list[int],
+    mends: tuple[Cause, ...],
 ) -> list[dict[str, Any]]:
     """Return what each view shows of some frames, and where it sees the answer; pixels."""
     if not frames:
         return []
     chosen = np.isin(np.arange(len(keypoints)), frames)
     places = {int(n): place for place, n in enumerate(np.flatnonzero(chosen))}
-    answered = reprojections(lift.frames(chosen).arrays)
+    answered = unmended(reprojections(lift.frames(chosen).arrays), mends)
     shown = keypoints[chosen]
     if confidence is not None:
         shown = np.where(confidence[chosen, ..., None] > 0, shown, np.nan)

@@ -1,7 +1,8 @@
 """Findings about estimated cameras: doubtful lenses, noise, views that face each other."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
+from typing import get_args
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from models.bundle.problem import CENTRE_X, FOCAL, RADIAL
 from models.calibrating.image_sizes import Images
 from models.calibrating.problem import CalibrationProblem
 from models.calibrating.result import SelfCalibration
+from models.findings.catalogue import CauseCode
 from models.findings.finding import Finding
 from models.optics.lenses.projection import PINHOLE
 
@@ -21,6 +23,9 @@ OFF_CENTRE = (
 )
 DISAGREE = 4.0  # standard deviations of a given focal length
 NARROW = 10.0  # degrees between two directions of view, or missing to 180
+CAUSES = frozenset(get_args(CauseCode.__value__))
+OF_VIEWS = ("lenses_extreme", "calibration_disagrees", "lens_disagrees")  # symptoms of causes
+OF_ALL = ("noise_high", "views_opposite")
 
 
 def camera_findings(problem: CalibrationProblem, found: SelfCalibration) -> tuple[Finding, ...]:
@@ -34,6 +39,22 @@ def camera_findings(problem: CalibrationProblem, found: SelfCalibration) -> tupl
         *_noise(found, problem.size),
         *_opposite(found),
     )
+
+
+def without_symptoms(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings without those that a cause among them explains.
+
+    Symptoms of views go if all their views have a cause, those of all cameras if any has.
+    """
+    findings = tuple(findings)
+    explained = {v for finding in findings if finding.code in CAUSES for v in finding.views}
+
+    def is_symptom(finding: Finding) -> bool:
+        if finding.code in OF_VIEWS:
+            return bool(finding.views) and explained.issuperset(finding.views)
+        return finding.code in OF_ALL and bool(explained)
+
+    return tuple(finding for finding in findings if not is_symptom(finding))
 
 
 def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:

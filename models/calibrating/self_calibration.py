@@ -16,7 +16,7 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import FOCAL, POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
-from models.calibrating.camera_findings import camera_findings
+from models.calibrating.camera_findings import camera_findings, without_symptoms
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
 from models.calibrating.expectation_maximisation import LEAST_MEASURED, LEAST_NOISE, learn
@@ -334,4 +334,4 @@ def _result(
     )
     of_cameras = noticed(camera_findings, problem, found)
     of_lenses = yield from attempt_steps(lens_findings(problem, best, sds), ())
-    return replace(found, findings=(*findings, *of_cameras, *of_lenses))
+    return replace(found, findings=without_symptoms((*findings, *of_cameras, *of_lenses)))

@@ -44,6 +44,19 @@ CameraCode = TypeAliasType(
         "lenses_extreme",
     ],
 )
+CauseCode = TypeAliasType(
+    "CauseCode",
+    Literal[  # of one view's pixels, named once the cameras show it
+        "view_cropped",
+        "view_padded",
+        "view_scaled",
+        "view_stretched",
+        "view_mirrored",
+        "view_turned",
+        "axes_exchanged",
+        "views_exchanged",
+    ],
+)
 LiftCode = TypeAliasType(
     "LiftCode",
     Literal[  # of new frames
@@ -53,7 +66,7 @@ LiftCode = TypeAliasType(
         "not_in_room",
     ],
 )
-FindingCode = CaptureCode | CameraCode | LiftCode
+FindingCode = CaptureCode | CameraCode | CauseCode | LiftCode
 
 
 class Entry(NamedTuple):
@@ -245,6 +258,70 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " given of the cameras is probably wrong.",
         "Look at the other findings, give the image sizes, what is known of the lenses (`lenses`)"
         " or a calibration, or set `cameras_alike: false` if the lenses differ.",
+    ),
+    "view_cropped": Entry(
+        "warning",
+        "This view's keypoints count from the corner of a window (`x`, `y`, pixels in the whole"
+        " image, beside the other views), not from that of the image: the middle of its lens is"
+        " not where it was expected. Unless it is undone (`applied` 1), structures bend.",
+        "Add the corner to the view's keypoints, or give the window's size as its image size if"
+        " the lens looks through its middle. Or fit with `mend: auto`, which undoes it in the"
+        " fit and in lifts of its model (`applied` 1).",
+    ),
+    "view_padded": Entry(
+        "warning",
+        "This view's keypoints are shares of an image that was padded to another shape,"
+        " multiplied by the sides of the image without the padding: x and y have scales of their"
+        " own (`fx_over_fy`). Unless it is undone (`applied` 1), structures bend.",
+        "Multiply the shares by the sides of the padded image, and take the padding off. Or fit"
+        " with `mend: auto`, which undoes it in the fit and in lifts of its model (`applied` 1).",
+    ),
+    "view_scaled": Entry(
+        "warning",
+        "This view's keypoints were found on an image of another size (`scale` of the given or"
+        " the usual one). Unless it is undone (`applied` 1), the lens is taken for another one,"
+        " and structures bend.",
+        "Give the size of the image on which its keypoints were found. Or fit with `mend:"
+        " auto`, which undoes it in the fit and in lifts of its model (`applied` 1).",
+    ),
+    "view_stretched": Entry(
+        "warning",
+        "This view's pixels are not square: its image was stretched, by `fx_over_fy`, and at"
+        " the sides more than in the middle if there is a `bend`. Unless it is undone (`applied`"
+        " 1), structures bend.",
+        "Turn off the stretching in the camera (SuperView and its like), or find keypoints in"
+        " the image before it was stretched. Or fit with `mend: auto`, which undoes it in the"
+        " fit and in lifts of its model (`applied` 1).",
+    ),
+    "view_mirrored": Entry(
+        "warning",
+        "This view's image is a mirror image. No camera explains it together with the others"
+        " unless it is undone (`applied` 1). With `sides_exchanged` 1 its left and right"
+        " keypoints were exchanged, too.",
+        "Turn off mirroring in the camera or its software, or have it undone where files are"
+        " read (`mirror`). Or fit with `mend: auto`, which undoes it in the fit and in lifts of"
+        " its model (`applied` 1).",
+    ),
+    "view_turned": Entry(
+        "info",
+        "This view's image is upside down or lies on its side (`degrees`), beside the other"
+        " views. Its camera is found all the same; only the middle of its lens may be expected"
+        " at a wrong place.",
+        "Turn the video before keypoints are found: detectors know people that stand. Or fit"
+        " with `mend: auto`, which undoes it in the fit and in lifts of its model (`applied` 1).",
+    ),
+    "axes_exchanged": Entry(
+        "warning",
+        "In this view's keypoints x and y are exchanged: rows and columns. No camera explains"
+        " it together with the others unless it is undone (`applied` 1).",
+        "Write x, to the right, before y, downwards. Or fit with `mend: auto`, which undoes it"
+        " in the fit and in lifts of its model (`applied` 1).",
+    ),
+    "views_exchanged": Entry(
+        "warning",
+        "This view's keypoints go with the size, the lens or the pose that was given for"
+        " another view (`of_view`), and so they were used (`applied` 1).",
+        "Give files, image sizes and the calibration in one order.",
     ),
     "rig_not_used": Entry(
         "warning",

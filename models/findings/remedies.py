@@ -15,7 +15,8 @@ RemedyField = TypeAliasType(
         "fps",  # of a dataset
         "image_sizes",
         "mirror",  # where files are read
-        "lenses",  # of a fit
+        "mend",  # of a fit
+        "lenses",
         "calibration",
         "known_length",
         "known_distance",
@@ -45,6 +46,14 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "lenses_limit_accuracy": ("lenses", "calibration", "image_sizes", "cameras_alike"),
     "handedness_not_observable": ("handedness", "calibration"),
     "lenses_extreme": ("image_sizes", "lenses", "calibration", "cameras_alike"),
+    "view_cropped": ("mend", "image_sizes"),
+    "view_padded": ("mend",),
+    "view_scaled": ("mend", "image_sizes"),
+    "view_stretched": ("mend",),
+    "view_mirrored": ("mend", "mirror"),
+    "view_turned": ("mend",),
+    "axes_exchanged": ("mend",),
+    "views_exchanged": ("image_sizes", "calibration"),
     "rig_not_used": ("views",),
     "frame_unlike_fit": ("from_model",),
     "not_in_room": ("frame", "refine"),

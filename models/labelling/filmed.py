@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.calibrating.result import CameraReport
+from models.causes.cause import Cause, unmended
 from models.lifting.lift import CAMERA_MODELS
 from models.network.answers import UNLIKE_FIT
 from models.optics.lenses.projection import Lenses, project
@@ -51,6 +52,7 @@ def as_filmed(
     frames: Float64 | None = None,
     cameras: CameraReport | None = None,
     placed: Array | None = None,
+    mends: tuple[Cause, ...] = (),
 ) -> Filmed:
     """Return what a fit found, beside what was detected.
 
@@ -66,6 +68,8 @@ def as_filmed(
     cameras, placed
         The cameras of the fit, and the structures (N, P, 3) in their room: they show where a static
         view sees what it did not detect at all.
+    mends
+        What the fit undid in the views' pixels: reprojections are in the pixels as they came.
     """
     count, views = keypoints.shape[:2]
     own = np.repeat(np.arange(count, dtype=np.float64)[:, None], views, axis=1)
@@ -76,7 +80,7 @@ def as_filmed(
         seen &= confidence > 0
     judged = found.get("outlier_probability")
     odd = found.get("findings", np.zeros(count, np.uint8))
-    projected = reprojections(found, cameras, placed)
+    projected = unmended(reprojections(found, cameras, placed), mends)
     filmed = Filmed(
         keypoints=np.where(seen[..., None], keypoints, np.nan).astype(np.float64),
         confidence=np.ones(seen.shape) if confidence is None else confidence.astype(np.float64),

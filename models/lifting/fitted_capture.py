@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from models.capture.clocks import Clocks
 from models.capture.frozen import at_places
+from models.causes.cause import CAUSES, Cause, mended, suit
 from models.findings.finding import Finding
 from models.network.answers import Usual, nothing_unusual
 from models.numerics.tensor_files import WeightsError
@@ -38,22 +39,25 @@ class FittedCapture(NamedTuple):
     clocks: Clocks | None = None  # of views that were shifted in time
     # (Q, 3) where keypoints usually lie (`models.lifting.usual_structure`); (0, 3) if not known
     structure: Float32 = np.empty((0, 3), np.float32)
+    mends: tuple[Cause, ...] = ()  # that the fit undid, in their order
 
     @property
     def whole(self) -> bool:
         """Whether every keypoint of a frame is an observation of one that the prior has."""
-        return bool(self.known.all()) and not len(self.places)
+        return bool(self.known.all()) and not len(self.places) and not self.mends
 
     def observations(
         self, pixels: Float32, confidence: Float32 | None, views: Sequence[int] | None
     ) -> tuple[Float32, Float32 | None]:
-        """Return pixels (N, K, Q, 2) and confidence (N, K, Q) of the known keypoints.
+        """Return pixels (N, K, Q, 2) and confidence (N, K, Q) of the known keypoints, mended.
 
         A keypoint at a pixel where it was frozen in the fit is NaN. `views` are those of the fit;
         without them all in their order, if the numbers agree.
         """
         if views is None and pixels.shape[1] == self.views:
             views = range(self.views)
+        if views is not None:
+            pixels, confidence, _ = mended(pixels, confidence, None, self.mends, views)
         if views is not None and len(self.places):
             stuck = at_places(pixels, self.places, views)
             pixels = np.where(stuck[..., None], np.float32(np.nan), pixels)
@@ -89,6 +93,8 @@ class FittedCapture(NamedTuple):
         }
         if self.clocks is not None:
             about["clocks"] = json.dumps([array.tolist() for array in self.clocks])
+        if self.mends:
+            about["mends"] = CAUSES.dump_json(self.mends).decode()
         return about
 
     @classmethod
@@ -111,6 +117,7 @@ class FittedCapture(NamedTuple):
             if "clocks" in about:
                 moments, offsets = (np.array(a, np.float64) for a in json.loads(about["clocks"]))
                 clocks = Clocks(moments, offsets)
+            mends = CAUSES.validate_json(about.get("mends", "[]"))
         except (ArithmeticError, LookupError, TypeError, ValueError, RecursionError) as error:
             raise WeightsError("the header does not describe the keypoints") from error
         consistent = (
@@ -124,10 +131,12 @@ class FittedCapture(NamedTuple):
             and (clocks is None or clocks.suit(views))
             and structure.shape in ((0,), (0, 3), (keypoints, 3))
             and not np.isinf(structure).any()
+            and suit(mends, views, len(known))
         )
         if not consistent:
             raise WeightsError("the header contradicts itself about the keypoints")
-        return cls(views, known, places, usual, findings, clocks, structure.reshape(-1, 3))
+        structure = structure.reshape(-1, 3)
+        return cls(views, known, places, usual, findings, clocks, structure, mends)
 
 
 def _is_usual(usual: Usual) -> bool:

@@ -15,6 +15,7 @@ from models.calibrating.result_files import to_arrays
 from models.capture.denoising import DENOISER_KIND
 from models.capture.noise_removal import NoiseRemoval
 from models.capture.outliers import OUTLIERS_KIND, OutlierModel
+from models.causes.cause import Cause
 from models.findings.finding import Finding
 from models.lifting.curve import CurveRow, curve_from_tensor, curve_to_tensor
 from models.lifting.deviations import with_deviations
@@ -119,6 +120,13 @@ class FittedPrior:
         """Return the same prior that knows how far its answers may be off."""
         knowing = copy(self)
         knowing.posterior = posterior
+        return knowing
+
+    def mending(self, causes: tuple[Cause, ...]) -> "FittedPrior":
+        """Return the same prior that undoes these causes in the keypoints that it lifts."""
+        knowing = copy(self)
+        knowing.capture = self.capture._replace(mends=causes)
+        knowing._observer = self._observer.of(knowing.capture)
         return knowing
 
     @property

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from copy import copy
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -101,6 +102,12 @@ class Observer:
         )
         learnt = 0 if outliers is None else len(outliers.mean)
         self.views = learnt or noise_removal.views or views_of_rig  # of the fit; 0: nothing known
+
+    def of(self, capture: FittedCapture) -> "Observer":
+        """Return the same observer for another account of the capture."""
+        other = copy(self)
+        other._capture = capture
+        return other
 
     def observe(
         self,

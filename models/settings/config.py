@@ -33,6 +33,7 @@ from models.settings.priors import (
 Refine = TypeAliasType("Refine", Literal["auto", "off", "full"])
 Arrangement = TypeAliasType("Arrangement", Literal["auto", "moving", "static"])
 Synchronise = TypeAliasType("Synchronise", Literal["auto", "off"])
+Mend = TypeAliasType("Mend", Literal["auto", "off"])
 Index = Annotated[int, Field(ge=0)]
 
 LEARNING_RATES = ", ".join(
@@ -151,6 +152,15 @@ class FitConfig(BaseModel):
             "`auto`: views that show every moment later than the others are found. They are shifted"
             " if the dataset has `fps` or `times`, otherwise only reported. `off`: the views are"
             " used as they are, except for `times` that differ between views."
+        ),
+    )
+    mend: Mend = Field(
+        default="off",
+        description=(
+            "Views whose pixels are not what they seem (cropped, padded, scaled, stretched,"
+            " mirrored, turned, x and y exchanged) are found once the cameras show it. `auto`: the"
+            " fit undoes it before anything else, and so do lifts of its model; cameras, errors and"
+            " noise are then of the mended pixels. `off`: it is only reported."
         ),
     )
     refine: Refine = Field(

@@ -25,7 +25,6 @@ from models.calibrating.self_calibration import (
     most_frames,
     self_calibrate,
     task_of,
-    with_geometry,
 )
 from models.lifting.curve import CurveRow
 from models.lifting.fitted_prior import FittedPrior
@@ -39,6 +38,7 @@ from models.numerics.steps import Steps, finished
 from models.posterior.posterior import Posterior
 from models.settings.config import FitConfig
 from models.training.batches import Data
+from models.training.causes_of_fit import with_causes
 from models.training.fit_posterior import posterior_of
 from models.training.known_structures import believe_where_better, known_structures
 from models.training.network_errors import learn_errors_of_network
@@ -208,7 +208,7 @@ class Teaching:
 
     def _settled(self) -> Steps[tuple[SelfCalibration, Scene] | None]:
         """Find static cameras by geometry; if it does not decide, keep it for the search."""
-        task = yield from with_geometry(self._task_of_all())
+        task = yield from with_causes(self._task_of_all())
         found = yield from calibrate_by_geometry(task)
         if found is None:
             self._task = task.of(self._searched())
@@ -236,7 +236,7 @@ class Teaching:
     def _search(self, answers: WeakPerspectiveScene) -> Steps[tuple[SelfCalibration, Scene] | None]:
         task, self._task = self._task, None
         if task is None:  # the fit was resumed, or had no time for geometry
-            task = (yield from with_geometry(self._task_of_all())).of(self._searched())
+            task = (yield from with_causes(self._task_of_all())).of(self._searched())
         return (yield from self_calibrate(task, answers))
 
     def _find_cameras(self) -> Iterator[None]:

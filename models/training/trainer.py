@@ -28,6 +28,7 @@ from models.training.budget import (
     plan_within_budget,
     seconds_left,
 )
+from models.training.causes_of_fit import observe_mended
 from models.training.checkpoints import Checkpoint
 from models.training.fit_posterior import with_posterior
 from models.training.holdout import Holdout, split
@@ -35,7 +36,6 @@ from models.training.keypoints_of_fit import (
     among_known,
     check_entries_per_view,
     edges_among_known,
-    observe,
     usable_frames,
 )
 from models.training.learner import Learner, begin_with
@@ -121,7 +121,7 @@ class Trainer:
         if times is not None:
             times = check_times(times, frames=len(pixels), views=pixels.shape[1])
         read = put_in_step(pixels, confidence, times, config.synchronise)
-        seen = observe(read, image_sizes, known, config)
+        seen, image_sizes = observe_mended(read, image_sizes, known, config)
         observations, self._capture = seen.observations, seen.capture
         self._seen, self._removal, self._times = seen, seen.noise_removal, read.times
         frames = usable_frames(observations)
@@ -204,14 +204,14 @@ class Trainer:
         self._learner.update_network()
         prior = self._teaching.result(self.step, self._curve)
         usual = attempt(self._teaching.usual, nothing_unusual())
-        capture = self._capture._replace(usual=usual, structure=self._teaching.structure)
+        capture = self._capture._replace(usual=usual, structure=self._teaching.structure, mends=())
         if self.config.refine != "off" and prior.cameras is None:
             missing = Finding.of("cameras_not_found")
             capture = capture._replace(findings=(*capture.findings, missing))
         learnt = prior.of_capture(self.config, capture, self._seen.outliers, self._removal)
         posterior = attempt(self._teaching.posterior, None, self._removal.shares_left)
         seen = self._seen.detected, self._times, self._held_out
-        return with_posterior(learnt, posterior, *seen)
+        return with_posterior(learnt, posterior, *seen).mending(self._capture.mends)
 
     def checkpoint(self) -> bytes:
         """Return everything needed to continue, as safetensors bytes."""

@@ -100,7 +100,8 @@ def read_material(fit: records.FitRecord, store: Store, engine: Engine, rooms: R
         frames = positions_in_step(times_of_views(times, views), warm.prior.capture.clocks)
     if cameras is not None and cameras.static.any():
         placed = rooms.find(warm, None).place_arrays(found)["points3d"]
-    filmed = as_filmed(capture.keypoints, capture.confidence, found, frames, cameras, placed)
+    shown = capture.keypoints, capture.confidence, found, frames, cameras, placed
+    filmed = as_filmed(*shown, warm.prior.capture.mends)
     sizes = dataset.image_sizes or [None] * views
     return Material(
         filmed,

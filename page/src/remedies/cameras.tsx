@@ -21,6 +21,16 @@ const KINDS = [
   ["false", "unlike: of several models, or at several zooms"],
 ] as const;
 
+const MENDS = [
+  ["off", "as they are: it is only reported"],
+  ["auto", "mended: what was found is undone, and in lifts of the model, too"],
+] as const;
+
+export function MendControl() {
+  const before = useSubject().fit?.config?.mend ?? "off";
+  return <OneOf label="Pixels of each view" choices={MENDS} before={before} changeTo={(mend) => ({ mend })} />;
+}
+
 export function ArrangementControl() {
   const before = useSubject().fit?.config?.cameras ?? "auto";
   // The distance of cameras that move is none.

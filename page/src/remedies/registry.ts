@@ -3,7 +3,7 @@
 
 import type { FunctionComponent } from "preact";
 import type { Finding } from "../api/resources.ts";
-import { AlikeControl, ArrangementControl, KnownLensesControl, LensControl } from "./cameras.tsx";
+import { AlikeControl, ArrangementControl, KnownLensesControl, LensControl, MendControl } from "./cameras.tsx";
 import { RateControl, SizesControl } from "./known_later.tsx";
 import { FrameControl, RefineControl, ViewsControl } from "./lifting.tsx";
 import { DistanceControl, HandednessControl, LengthControl } from "./measures.tsx";
@@ -25,6 +25,7 @@ export const REMEDIES: Record<RemedyField, Remedy> = {
   fps: { words: "Give the frame rate", Control: RateControl, suits: always },
   image_sizes: { words: "Give the image sizes", Control: SizesControl, suits: always },
   mirror: { words: "Have mirrored views read so", Control: MirrorControl, suits: always },
+  mend: { words: "Have it undone", Control: MendControl, suits: ofFit },
   cameras: { words: "Choose whether cameras move", Control: ArrangementControl, suits: ofFit },
   cameras_alike: { words: "Choose whether lenses are alike", Control: AlikeControl, suits: ofFit },
   lenses: { words: "Give what is known of the lenses", Control: KnownLensesControl, suits: ofFit },

@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import get_args
 
-from models.findings.catalogue import CATALOGUE, CameraCode, CaptureCode, LiftCode
+from models.findings.catalogue import CATALOGUE, CameraCode, CaptureCode, CauseCode, LiftCode
 
 PAGE = Path(__file__).parents[3] / "docs" / "findings.md"
 GROUPS = {
     "## Of keypoints": CaptureCode,
     "## Of cameras": CameraCode,
+    "## Of one view's pixels": CauseCode,
     "## Of lifts": LiftCode,
 }
 
