@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
+from models.bundle.problem import EXTRINSICS, LENS, VIEW
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
 from models.optics.lenses.projection import Lenses, differentiate_into
@@ -56,28 +56,22 @@ class ShapeFactor(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """A pixel and its derivatives, and buffers."""
+    """Pixels of P points in K views, and their derivatives; any numbers where a weight is 0."""
 
-    pixel: Float64  # (2,)
-    by_point: Float64  # (2, 3)
-    by_numbers: Float64  # (2, 11)
-    by_shared: Float64  # (2, T)
-    camera: Float64  # (3,)
-    by_camera: Float64  # (2, 3)
-    by_lens: Float64  # (2, 5)
+    pixels: Float64  # (K, P, 2)
+    by_point: Float64  # (K, P, 2, 3)
+    by_numbers: Float64  # (K, P, 2, 11) by the view's numbers
+    by_shared: Float64  # (K, P, 2, T) by directions of the shared cameras
 
 
 @inner
-def make_slopes(shared: int) -> Slopes:
-    """Return buffers, for so many directions of the shared cameras."""
+def make_slopes(views: int, points: int, shared: int) -> Slopes:
+    """Return room for the slopes of one frame after the other."""
     return Slopes(
-        np.empty(2),
-        np.empty((2, 3)),
-        np.empty((2, VIEW)),
-        np.empty((2, shared)),
-        np.empty(3),
-        np.empty((2, 3)),
-        np.empty((2, LENS)),
+        np.empty((views, points, 2)),
+        np.empty((views, points, 2, 3)),
+        np.empty((views, points, 2, VIEW)),
+        np.empty((views, points, 2, shared)),
     )
 
 
@@ -112,11 +106,16 @@ def unknowns_of(cameras: FrameCameras, shapes: ShapeFactor) -> int:
 
 @inner
 def covariance_of_frame(
-    points: Float64, cameras: FrameCameras, views: Views, shapes: ShapeFactor, out: FrameCovariance
+    points: Float64,
+    cameras: FrameCameras,
+    weights: Float64,
+    shapes: ShapeFactor,
+    slopes: Slopes,
+    out: FrameCovariance,
 ) -> bool:
-    """Write the covariances of a frame; False, and NaN, where they are not determined.
+    """Write the slopes and covariances of a frame; False, and NaN, where they are not determined.
 
-    `views.weights` (K, P) are inverse variances, 0 where a keypoint is not used.
+    `weights` (K, P) are inverse variances, 0 where a keypoint is not used.
     """
     size, shared = out.modes.shape[2], cameras.factor.shape[2]
     equations = _Equations(
@@ -126,17 +125,15 @@ def covariance_of_frame(
         np.empty((3, shared)),
         np.zeros((size, shared)),
     )
-    first, slopes = _similarity_columns(cameras), make_slopes(shared)
-    middle, columns = middle_of(points), np.empty((3, size))
+    first, middle, columns = _similarity_columns(cameras), middle_of(points), np.empty((3, size))
+    _linearise(points, cameras, weights, slopes)
     _begin(points, middle, first, shapes.columns.shape[2], equations.system)
     for p in range(len(points)):
         fill(equations.coupling, 0.0)
         fill(equations.information, 0.0)
         fill(equations.lasting, 0.0)
         _add_shape(points[p], middle, shapes, p, first, equations, columns)
-        for k in range(len(cameras.joined)):
-            if views.weights[k, p] > 0:
-                _add_keypoint(points[p], cameras, k, views.weights[k, p], equations, slopes)
+        _add_keypoints(p, cameras, weights, equations, slopes)
         _eliminate(equations, out.own[p], out.modes[p], out.by_cameras[p])
     if not cholesky(equations.system):
         for array in (out.own, out.modes, out.by_cameras):
@@ -185,11 +182,15 @@ def _eliminate(equations: _Equations, own: Float64, modes: Float64, by_cameras: 
             for j in range(3):
                 by_cameras[i, t] -= own[i, j] * lasting[j, t]
     for a in range(size):
-        for i in range(3):
-            for b in range(a + 1):
-                system[a, b] -= coupling[i, a] * modes[i, b]
-            for t in range(shared):
-                coupled[a, t] += coupling[i, a] * by_cameras[i, t]
+        x, y, z = coupling[0, a], coupling[1, a], coupling[2, a]
+        for b in range(a + 1):
+            system[a, b] -= x * modes[0, b]
+            system[a, b] -= y * modes[1, b]
+            system[a, b] -= z * modes[2, b]
+        for t in range(shared):
+            coupled[a, t] += x * by_cameras[0, t]
+            coupled[a, t] += y * by_cameras[1, t]
+            coupled[a, t] += z * by_cameras[2, t]
 
 
 @inner
@@ -204,17 +205,19 @@ def _carry(equations: _Equations, out: FrameCovariance) -> None:
         cholesky_solve(system, solved)
         for a in range(size):
             out.unknowns_by_cameras[a, t] = -solved[a]
-    for p in range(len(out.own)):
+    modes, by_cameras, follow = out.modes, out.by_cameras, out.unknowns_by_cameras
+    for p in range(len(modes)):
         for i in range(3):
-            row = out.modes[p, i]
-            for a in range(size):
-                for t in range(shared):
-                    out.by_cameras[p, i, t] -= row[a] * out.unknowns_by_cameras[a, t]
+            for t in range(shared):
+                total = by_cameras[p, i, t]
+                for a in range(size):
+                    total -= modes[p, i, a] * follow[a, t]
+                by_cameras[p, i, t] = total
             for a in range(size):  # from V c to V c L^-T
-                total = row[a]
+                total = modes[p, i, a]
                 for b in range(a):
-                    total -= system[a, b] * row[b]
-                row[a] = total / system[a, a]
+                    total -= system[a, b] * modes[p, i, b]
+                modes[p, i, a] = total / system[a, a]
 
 
 @inner
@@ -240,8 +243,9 @@ def _add_shape(
 
     `columns` (3, R) is a buffer.
     """
-    information, coupling, system = equations.information, equations.coupling, equations.system
-    weight, count = 1.0 / shapes.variances[p], shapes.columns.shape[2]
+    information, coupling, system, _, _ = equations
+    basis, size = shapes.columns, first + shapes.columns.shape[2]
+    weight = 1.0 / shapes.variances[p]
     fill(columns, 0.0)
     if first:
         x, y, z = point[0] - middle[0], point[1] - middle[1], point[2] - middle[2]
@@ -251,96 +255,98 @@ def _add_shape(
         columns[2, 3], columns[2, 4] = y, -x
         columns[0, 6], columns[1, 6], columns[2, 6] = x, y, z
     for i in range(3):
-        for q in range(count):
-            columns[i, first + q] = shapes.columns[p, i, q]
         information[i, i] += weight
-        for a in range(first + count):
+        for a in range(first, size):
+            columns[i, a] = basis[p, i, a - first]
+        for a in range(size):
             coupling[i, a] -= weight * columns[i, a]
-            for b in range(a + 1):
-                system[a, b] += weight * columns[i, a] * columns[i, b]
+    for a in range(size):
+        x, y, z = weight * columns[0, a], weight * columns[1, a], weight * columns[2, a]
+        for b in range(a + 1):
+            system[a, b] += x * columns[0, b]
+            system[a, b] += y * columns[1, b]
+            system[a, b] += z * columns[2, b]
 
 
 @inner
-def _add_keypoint(
-    point: Float64,
-    cameras: FrameCameras,
-    k: int,
-    weight: float,
-    equations: _Equations,
-    slopes: Slopes,
+def _add_keypoints(
+    p: int, cameras: FrameCameras, weights: Float64, equations: _Equations, slopes: Slopes
 ) -> None:
-    """Add the factor of a keypoint, by the point, the view's own pose, and the shared numbers."""
-    information, lasting, by_shared = equations.information, equations.lasting, slopes.by_shared
-    differentiate_keypoint_into(point, cameras, k, slopes)
-    for a in range(2):
-        for t in range(lasting.shape[1]):
-            by_shared[a, t] = 0.0
-        for number in range(VIEW if cameras.joined[k] else LENS):
-            for t in range(lasting.shape[1]):
-                by_shared[a, t] += slopes.by_numbers[a, number] * cameras.factor[k, number, t]
-        for i in range(3):
-            left = weight * slopes.by_point[a, i]
-            for j in range(3):
-                information[i, j] += left * slopes.by_point[a, j]
-            for t in range(lasting.shape[1]):
-                lasting[i, t] += left * by_shared[a, t]
-        if not cameras.joined[k]:
-            own = pose_columns(cameras, k, len(equations.system))
-            _add_pose(own, weight, slopes, a, equations)
+    """Add a point's keypoints, by the point, the views' own poses, and the shared numbers."""
+    information, coupling, system, lasting, coupled = equations
+    _, by_point, by_numbers, by_shared = slopes
+    joined, shared = cameras.joined, lasting.shape[1]
+    for k in range(len(weights)):
+        weight = weights[k, p]
+        if not weight > 0:
+            continue
+        own = pose_columns(joined, k, len(system))
+        for a in range(2):
+            for i in range(3):
+                left = weight * by_point[k, p, a, i]
+                for j in range(3):
+                    information[i, j] += left * by_point[k, p, a, j]
+                for t in range(shared):
+                    lasting[i, t] += left * by_shared[k, p, a, t]
+            for number in range(0 if joined[k] else EXTRINSICS):
+                by_pose = weight * by_numbers[k, p, a, LENS + number]
+                for i in range(3):
+                    coupling[i, own + number] += by_pose * by_point[k, p, a, i]
+                for other in range(number + 1):
+                    by_other = by_numbers[k, p, a, LENS + other]
+                    system[own + number, own + other] += by_pose * by_other
+                for t in range(shared):
+                    coupled[own + number, t] += by_pose * by_shared[k, p, a, t]
 
 
 @inner
-def _add_pose(own: int, weight: float, slopes: Slopes, a: int, equations: _Equations) -> None:
-    """Add coordinate `a` of a keypoint by the pose whose columns of y begin at `own`."""
-    for number in range(EXTRINSICS):
-        by_pose = weight * slopes.by_numbers[a, LENS + number]
-        for i in range(3):
-            equations.coupling[i, own + number] += by_pose * slopes.by_point[a, i]
-        for other in range(number + 1):
-            by_other = slopes.by_numbers[a, LENS + other]
-            equations.system[own + number, own + other] += by_pose * by_other
-        for t in range(slopes.by_shared.shape[1]):
-            equations.coupled[own + number, t] += by_pose * slopes.by_shared[a, t]
-
-
-@inner
-def pose_columns(cameras: FrameCameras, k: int, size: int) -> int:
-    """Return the first of the six columns of y for the pose of a view that is not joined."""
+def pose_columns(joined: Bool, k: int, size: int) -> int:
+    """Return the first of the six columns of y for the pose of a view that is not joined (K,)."""
     later = 0
-    for other in range(k, len(cameras.joined)):
-        if not cameras.joined[other]:
+    for other in range(k, len(joined)):
+        if not joined[other]:
             later += EXTRINSICS
     return size - later
 
 
 @inner
-def differentiate_keypoint_into(
-    point: Float64, cameras: FrameCameras, k: int, slopes: Slopes
-) -> None:
-    """Write a pixel, and its derivatives by the point and by the view's numbers.
+def _linearise(points: Float64, cameras: FrameCameras, weights: Float64, slopes: Slopes) -> None:
+    """Write pixels, and their derivatives by points and by cameras.
 
     A rotation vector turns the camera's axes about the origin of the rig, or about the middle of
-    the structure where the view is not joined; translations are in units of the rig.
+    the structure where the view is not joined; translations are in units of the rig. Arrays are
+    unpacked once, for all points: that takes longer than the arithmetic of one.
     """
-    camera, by_camera, by_numbers = slopes.camera, slopes.by_camera, slopes.by_numbers
-    rotation, joined = cameras.rotations[k], cameras.joined[k]
-    growth = cameras.growth if joined else 1.0
-    for i in range(3):
-        camera[i] = cameras.translations[k, i]
-        for j in range(3):
-            camera[i] += rotation[i, j] * point[j]
-    differentiate_into(camera, cameras.lenses, k, slopes.pixel, by_camera, slopes.by_lens)
-    for i in range(3):  # what turns with the camera
-        camera[i] -= cameras.offsets[k, i] if joined else cameras.translations[k, i]
-    for a in range(2):
-        x, y, z = by_camera[a, 0], by_camera[a, 1], by_camera[a, 2]
-        for j in range(3):
-            slopes.by_point[a, j] = x * rotation[0, j] + y * rotation[1, j] + z * rotation[2, j]
-        for number in range(LENS):
-            by_numbers[a, number] = slopes.by_lens[a, number]
-        by_numbers[a, LENS] = z * camera[1] - y * camera[2]
-        by_numbers[a, LENS + 1] = x * camera[2] - z * camera[0]
-        by_numbers[a, LENS + 2] = y * camera[0] - x * camera[1]
-        by_numbers[a, LENS + 3] = growth * x
-        by_numbers[a, LENS + 4] = growth * y
-        by_numbers[a, LENS + 5] = growth * z
+    rotations, translations, lenses, joined, offsets, growth, factor = cameras
+    pixels, by_point, by_numbers, by_shared = slopes
+    camera, by_camera, by_lens = np.empty(3), np.empty((2, 3)), np.empty((2, LENS))
+    for k in range(len(weights)):
+        grown, free = (growth, VIEW) if joined[k] else (1.0, LENS)
+        for p in range(len(points)):
+            if not weights[k, p] > 0:
+                continue
+            for i in range(3):
+                camera[i] = translations[k, i]
+                for j in range(3):
+                    camera[i] += rotations[k, i, j] * points[p, j]
+            differentiate_into(camera, lenses, k, pixels[k, p], by_camera, by_lens)
+            for i in range(3):  # what turns with the camera
+                camera[i] -= offsets[k, i] if joined[k] else translations[k, i]
+            for a in range(2):
+                x, y, z = by_camera[a, 0], by_camera[a, 1], by_camera[a, 2]
+                for j in range(3):
+                    across = x * rotations[k, 0, j] + y * rotations[k, 1, j]
+                    by_point[k, p, a, j] = across + z * rotations[k, 2, j]
+                for number in range(LENS):
+                    by_numbers[k, p, a, number] = by_lens[a, number]
+                by_numbers[k, p, a, LENS] = z * camera[1] - y * camera[2]
+                by_numbers[k, p, a, LENS + 1] = x * camera[2] - z * camera[0]
+                by_numbers[k, p, a, LENS + 2] = y * camera[0] - x * camera[1]
+                by_numbers[k, p, a, LENS + 3] = grown * x
+                by_numbers[k, p, a, LENS + 4] = grown * y
+                by_numbers[k, p, a, LENS + 5] = grown * z
+                for t in range(factor.shape[2]):
+                    total = 0.0
+                    for number in range(free):
+                        total += by_numbers[k, p, a, number] * factor[k, number, t]
+                    by_shared[k, p, a, t] = total

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import EXTRINSICS, LENS, VIEW, Views
+from models.bundle.problem import EXTRINSICS, LENS, VIEW
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
 from models.numerics.threads import in_slices
@@ -23,7 +23,6 @@ from models.posterior.frame import (
     ShapeFactor,
     Slopes,
     covariance_of_frame,
-    differentiate_keypoint_into,
     make_slopes,
     middle_of,
     pose_columns,
@@ -172,15 +171,16 @@ def write_covariances(
     out: Covariances,
 ) -> None:
     """Write covariances of frames from `start` to `stop`; modes only if `out` has room for them."""
-    count, shared = frames.points.shape[1], factor.shape[2]
+    (views, count), shared = frames.weights.shape[1:], factor.shape[2]
+    slopes = make_slopes(views, count, shared)
     for n in range(start, stop):
         cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
-        views = Views(frames.keypoints[n], frames.weights[n])
+        points, weights = frames.points[n], frames.weights[n]
         found = _room_for(cameras, shape, count, shared)
-        if not covariance_of_frame(frames.points[n], cameras, views, shape, found):
+        if not covariance_of_frame(points, cameras, weights, shape, slopes, found):
             continue
-        axes = _gauge(frames.points[n])
-        size = SIMILARITY - 1 if _rig_views(cameras, views) > 1 else SIMILARITY
+        axes = _gauge(points)
+        size = SIMILARITY - 1 if _rig_views(cameras, weights) > 1 else SIMILARITY
         _project(axes[:size], found.modes)
         _project(axes, found.by_cameras)
         _correct(found, frames.corrections[n])
@@ -194,11 +194,11 @@ def write_covariances(
 
 
 @inner
-def _rig_views(cameras: FrameCameras, views: Views) -> int:
+def _rig_views(cameras: FrameCameras, weights: Float64) -> int:
     """Return how many cameras of a static rig see the subject: two give it a size."""
     seeing = 0
     for k in range(len(cameras.joined)):
-        if cameras.joined[k] and total(views.weights[k]) > 0:
+        if cameras.joined[k] and total(weights[k]) > 0:
             seeing += 1
     return seeing
 
@@ -289,52 +289,50 @@ def _scores(
     for k in range(views):
         for number in range(VIEW):
             factor[k, number, VIEW * k + number] = 1.0
-    slopes = make_slopes(numbers)
+    slopes = make_slopes(views, count, numbers)
     for n in range(start, stop):
         cameras, shape = _cameras_of(frames, factor, n), _shapes_of(frames, shapes, n)
-        seen = Views(frames.keypoints[n], frames.weights[n])
+        points, weights = frames.points[n], frames.weights[n]
         found = _room_for(cameras, shape, count, numbers)
-        if covariance_of_frame(frames.points[n], cameras, seen, shape, found):
-            for k in range(views):
-                for p in range(count):
-                    if seen.weights[k, p] > 0:
-                        point = frames.points[n, p]
-                        _score(
-                            point, cameras, seen, found, k, p, slopes,
-                            information[n], scores[n, p],
-                        )  # fmt: skip
+        if covariance_of_frame(points, cameras, weights, shape, slopes, found):
+            off = frames.keypoints[n] - slopes.pixels
+            _score(off, frames.joined[n], weights, found, slopes, information[n], scores[n])
 
 
 @inner
 def _score(
-    point: Float64,
-    cameras: FrameCameras,
-    seen: Views,
+    off: Float64,
+    joined: Bool,
+    weights: Float64,
     found: FrameCovariance,
-    k: int,
-    p: int,
     slopes: Slopes,
     information: Float64,
-    score: Float64,
+    scores: Float64,
 ) -> None:
-    """Add a keypoint's information on the shared numbers, with the frame following them."""
-    row, weight, by_numbers = np.empty(len(score)), seen.weights[k, p], slopes.by_numbers
-    differentiate_keypoint_into(point, cameras, k, slopes)
-    own, free = pose_columns(cameras, k, found.modes.shape[2]), LENS
-    if cameras.joined[k]:
-        free = VIEW
-    for a in range(2):
-        for t in range(len(score)):
-            row[t] = 0.0
-            for i in range(3):
-                row[t] += slopes.by_point[a, i] * found.by_cameras[p, i, t]
-            for number in range(VIEW - free):
-                by_pose = by_numbers[a, LENS + number]
-                row[t] += by_pose * found.unknowns_by_cameras[own + number, t]
-        for number in range(free):
-            row[VIEW * k + number] += by_numbers[a, number]
-        for t in range(len(score)):
-            score[t] += weight * (seen.keypoints[k, p, a] - slopes.pixel[a]) * row[t]
-            # The total derivative of the gradient by the shared numbers.
-            for number in range(free):
-                information[VIEW * k + number, t] += weight * by_numbers[a, number] * row[t]
+    """Add information on the shared numbers and scores (P, 11 K), with the frame following them.
+
+    `off` (K, P, 2) is how far keypoints are from their pixels.
+    """
+    row = np.empty(len(information))
+    for k in range(len(joined)):
+        own, free = pose_columns(joined, k, found.modes.shape[2]), VIEW if joined[k] else LENS
+        for p in range(len(scores)):
+            if not weights[k, p] > 0:
+                continue
+            for a in range(2):
+                by_numbers = slopes.by_numbers[k, p, a]
+                for t in range(len(row)):
+                    row[t] = 0.0
+                    for i in range(3):
+                        row[t] += slopes.by_point[k, p, a, i] * found.by_cameras[p, i, t]
+                    for number in range(VIEW - free):
+                        by_pose = by_numbers[LENS + number]
+                        row[t] += by_pose * found.unknowns_by_cameras[own + number, t]
+                for number in range(free):
+                    row[VIEW * k + number] += by_numbers[number]
+                for t in range(len(row)):
+                    scores[p, t] += weights[k, p] * off[k, p, a] * row[t]
+                    # The total derivative of the gradient by the shared numbers.
+                    for number in range(free):
+                        by_number = weights[k, p] * by_numbers[number]
+                        information[VIEW * k + number, t] += by_number * row[t]
