@@ -5,10 +5,9 @@ import numpy as np
 from models.bundle.problem import Rig
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import ObservedFrames
+from models.posterior.answers import Lifted
 from models.posterior.posterior import Posterior, unknown_deviations
-from models.posterior.quality import FIGURES, NO_EVIDENCE, quality_of
-
-FURTHEST = 2.0  # root-mean-square radii of the structure: half of a person's height
+from models.posterior.quality import FIGURES, judge
 
 
 def with_deviations(
@@ -28,18 +27,30 @@ def with_deviations(
     if posterior is None or rig is None:
         found = unknown_deviations(*lift.points3d.shape[:2], modes=modes)
     else:
-        seen, views = observed.observations, observed.views
-        removed = observed.detected, observed.smoothed
-        found = posterior.deviations(lift, rig, views, seen, *removed, modes=modes)
+        lifted = as_lifted(lift, posterior, rig, observed)
+        found = posterior.deviations(lifted, observed.views, modes=modes)
     usual = np.zeros(FIGURES) if posterior is None else posterior.usual
-    quality, reasons = quality_of(found.figures, usual)
-    nothing = np.isnan(lift.points3d).all((1, 2))
+    quality, reasons, nowhere = judge(lift.points3d, found.sds, found.figures, usual)
     known = lift._replace(
-        quality=np.where(nothing, np.float32(0), quality),
-        quality_reason=np.where(nothing, np.uint8(NO_EVIDENCE), reasons),
+        quality=quality,
+        quality_reason=reasons,
         points3d_sd=found.sds,
         points3d_covariance=found.covariances,
         points3d_modes=found.modes,
     )
-    radii = np.sqrt(np.square(lift.points3d).sum(-1).mean(1))  # points are centred
-    return known.without_points(found.sds > FURTHEST * radii[:, None])
+    return known.without_points(nowhere)
+
+
+def as_lifted(
+    lift: LiftedFrames, posterior: Posterior, rig: Rig, observed: ObservedFrames
+) -> Lifted:
+    """Return refined answers for observed frames, as a posterior takes them."""
+    return Lifted(
+        lift,
+        rig,
+        observed.observations,
+        observed.detected,
+        observed.smoothed,
+        posterior.shapes,
+        posterior.noise_of(observed.views, lift.scales.shape[1]),
+    )

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from models.lifting.deviations import as_lifted
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frame_refinement import sub_rig
 from models.lifting.lift import LiftedFrames
-from models.posterior.deviations import frames_as_detected
+from models.posterior.answers import frames_as_detected
 from models.posterior.quality import REASONS
 from models.posterior.views_worth import (
     Direction,
@@ -196,17 +197,8 @@ def _of_cameras(
         np.asarray(keypoints)[kept],
         confidence=None if confidence is None else np.asarray(confidence)[kept],
     )
-    frames = frames_as_detected(
-        some.frames(kept),
-        rig,
-        seen.observations,
-        seen.detected,
-        seen.smoothed,
-        posterior.shapes,
-        posterior.noise_of(range(views), views),
-        0,
-        len(chosen),
-    )
+    lifted = as_lifted(some.frames(kept), posterior, rig, seen)
+    frames = frames_as_detected(lifted, 0, len(chosen))
     given = posterior.shapes, posterior.factor, posterior.corrections[0]
     unit = expected / expected_error(frames, *given)
     of_views = [

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.capture.metrics import procrustes_by_size
-from models.lifting.deviations import FURTHEST
 from models.lifting.lift import LiftedFrames
+from models.posterior.quality import FURTHEST
 from models.settings.keypoints import MIN_KEYPOINTS
 
 Float32 = NDArray[np.float32]

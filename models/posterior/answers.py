@@ -1,19 +1,23 @@
 """Answers of lifts as the frames of a posterior; compiled."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Rig
+from models.capture.observations import Observations
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import fill
 from models.numerics.rotations import nearest_rotation_into
 from models.numerics.threads import in_slices
 from models.optics.lenses.projection import project, project_into
-from models.posterior.frames import FRAMES_AT_A_TIME, Frames
+from models.posterior.frames import FRAMES_AT_A_TIME, Frames, LearntShapes
 
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 # Student's t: a keypoint that lies further off than most counts less. None counts for more than
@@ -22,6 +26,29 @@ FREEDOM = 4.0
 FURTHEST = 50.0  # squared distance that a keypoint counts for in the misfit of its frame
 STEP = 1e-5  # of the largest coordinate, for differences of pixels
 TINY = 1e-12
+
+
+class Noise(NamedTuple):
+    """What K views of a lift are known to have of it, and what a lift leaves of it."""
+
+    deviations: Float64  # (K, P) pixels, of a coordinate of confidence 1
+    # Of frames one by one, and of frames that were smoothed in time: the share that is left before
+    # a lift, and corrections of points that no view shows, one view, two, ...
+    left: Float64  # (2,)
+    corrections: Float64  # (2, V + 1), of V >= K views
+
+
+class Lifted(NamedTuple):
+    """A lift of N frames, its keypoints, and what a fit knows of both."""
+
+    answers: Answers  # refined ones with all their points
+    rig: Rig  # of the K views of the answers
+    seen: Observations
+    # Keypoints before noise was removed, and how it was, as in `ObservedFrames`
+    detected: Float32
+    smoothed: Bool
+    shapes: LearntShapes
+    noise: Noise
 
 
 def frames_of(
@@ -97,6 +124,35 @@ def make_frames(keypoints: Float64, rig: Rig) -> Frames:
 
 
 @compiled
+def frames_as_detected(lifted: Lifted, start: int, stop: int) -> Frames:
+    """Return frames from `start` to `stop` with keypoints as they were before noise was removed."""
+    answers, rig, seen, detected, smoothed, shapes, noise = lifted
+    some, (views, count) = stop - start, noise.deviations.shape
+    keypoints, weights = np.zeros((some, views, count, 2)), np.zeros((some, views, count))
+    for n in range(start, stop):
+        for k in range(views):
+            for p in range(count):
+                weights[n - start, k, p] = seen.weights[n, k, p]
+                known = len(detected) > 0 and detected[n, k, p, 2] > 0
+                for i in range(2):
+                    pixel = seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
+                    keypoints[n - start, k, p, i] = detected[n, k, p, i] if known else pixel
+    frames = make_frames(keypoints, rig)
+    fill_frames(answers, rig, shapes.mean, weights, noise.deviations, start, stop, start, frames)
+    for n in range(some):
+        removed = int(smoothed[start + n])
+        for p in range(count):
+            showing = 0
+            for k in range(views):
+                if weights[n, k, p] > 0:
+                    showing += 1
+                # Only now: how far a keypoint lies off is judged by the noise that it had.
+                frames.weights[n, k, p] /= noise.left[removed] ** 2
+            frames.corrections[n, p] = noise.corrections[removed, showing]
+    return frames
+
+
+@compiled
 def fill_frames(
     answers: Answers,
     rig: Rig,
@@ -127,36 +183,39 @@ def fill_frames(
                 for j in range(3):
                     out.rotations[m, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
         out.growth[m] = _growth(out.rotations[m], out.translations[m], out.joined[m], rig)
-        used = 0
         for k in range(views):
             for i in range(3):
                 out.offsets[m, k, i] = out.growth[m] * rig.translations[k, i]
-            for p in range(count):
-                w = given[m, k, p] / noise[k, p] ** 2
-                squared = _squared_distance(out, m, k, p, w) if w > 0 else np.inf
-                robust = min((FREEDOM + 2) / (FREEDOM + squared), 1.0)
-                out.weights[m, k, p] = w * robust if squared < np.inf else 0.0
-                if squared < np.inf:
-                    out.misfits[m] += min(squared, FURTHEST) / 2
-                    used += 1
-        out.misfits[m] = out.misfits[m] / used if used else np.nan
+        _weigh(given[m], noise, m, out)
         _turn_into(out.points[m], mean, out.turned[m])
 
 
 @inner
-def _squared_distance(frames: Frames, n: int, k: int, p: int, weight: float) -> float:
-    """Return the squared distance of a keypoint times its weight; infinite without a camera."""
-    camera, pixel = np.empty(3), np.empty(2)
-    for i in range(3):
-        camera[i] = frames.translations[n, k, i]
-        for j in range(3):
-            camera[i] += frames.rotations[n, k, i, j] * frames.points[n, p, j]
-    if not camera[2] > 0:
-        return math.inf
-    project_into(camera, frames.lenses, k, pixel)
-    x, y = frames.keypoints[n, k, p, 0] - pixel[0], frames.keypoints[n, k, p, 1] - pixel[1]
-    squared: float = weight * (x * x + y * y)
-    return squared
+def _weigh(given: Float64, noise: Float64, n: int, out: Frames) -> None:
+    """Write the robust weights of a frame, and how far its keypoints are off; `given` is (K, P)."""
+    points, rotations, translations, lenses, _, _, _, keypoints, weights, _, misfits, _ = out
+    camera, pixel, (views, count) = np.empty(3), np.empty(2), noise.shape
+    used, misfit = 0, 0.0
+    for k in range(views):
+        for p in range(count):
+            weights[n, k, p] = 0.0
+            weight = given[k, p] / noise[k, p] ** 2
+            if not weight > 0:
+                continue
+            for i in range(3):
+                camera[i] = translations[n, k, i]
+                for j in range(3):
+                    camera[i] += rotations[n, k, i, j] * points[n, p, j]
+            if not camera[2] > 0:  # or there is no camera
+                continue
+            project_into(camera, lenses, k, pixel)
+            x, y = keypoints[n, k, p, 0] - pixel[0], keypoints[n, k, p, 1] - pixel[1]
+            squared = weight * (x * x + y * y)
+            if squared < np.inf:
+                weights[n, k, p] = weight * min((FREEDOM + 2) / (FREEDOM + squared), 1.0)
+                misfit += min(squared, FURTHEST) / 2
+                used += 1
+    misfits[n] = misfit / used if used else np.nan
 
 
 @inner

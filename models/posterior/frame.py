@@ -206,6 +206,7 @@ def _carry(equations: _Equations, out: FrameCovariance) -> None:
         for a in range(size):
             out.unknowns_by_cameras[a, t] = -solved[a]
     modes, by_cameras, follow = out.modes, out.by_cameras, out.unknowns_by_cameras
+    upper = system.T.copy()
     for p in range(len(modes)):
         for i in range(3):
             for t in range(shared):
@@ -214,10 +215,9 @@ def _carry(equations: _Equations, out: FrameCovariance) -> None:
                     total -= modes[p, i, a] * follow[a, t]
                 by_cameras[p, i, t] = total
             for a in range(size):  # from V c to V c L^-T
-                total = modes[p, i, a]
-                for b in range(a):
-                    total -= system[a, b] * modes[p, i, b]
-                modes[p, i, a] = total / system[a, a]
+                modes[p, i, a] /= system[a, a]
+                for b in range(a + 1, size):
+                    modes[p, i, b] -= modes[p, i, a] * upper[a, b]
 
 
 @inner

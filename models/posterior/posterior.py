@@ -6,18 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import FOCAL, VIEW, Rig
-from models.capture.observations import Observations
-from models.network.answers import Answers
+from models.bundle.problem import FOCAL, VIEW
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
-from models.posterior.deviations import Deviations, Noise, write_deviations
+from models.posterior.answers import Lifted, Noise
+from models.posterior.deviations import Deviations, write_deviations
 from models.posterior.frames import FRAMES_AT_A_TIME, LearntShapes
 from models.posterior.quality import FIGURES
 from models.settings.uncertainty import MODES, SYMMETRIC
 
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 POSTERIOR_KIND = "corrected"  # in files
@@ -39,18 +36,8 @@ class Posterior(NamedTuple):
     # (3,) figures of frames, as in `models.posterior.quality`; 0 if not known
     usual: Float64
 
-    def deviations(
-        self,
-        answers: Answers,
-        rig: Rig,
-        views: Sequence[int] | None,
-        seen: Observations,
-        detected: Float32,
-        smoothed: Bool,
-        *,
-        modes: bool,
-    ) -> Deviations:
-        """Return how far the points of answers may be off.
+    def deviations(self, lifted: Lifted, views: Sequence[int] | None, *, modes: bool) -> Deviations:
+        """Return how far the points of a lift may be off.
 
         NaN for frames without a perspective camera. In the unit of the answers. A structure's place
         and direction are no part of what points share, nor is its size where no static rig gives
@@ -58,28 +45,19 @@ class Posterior(NamedTuple):
 
         Parameters
         ----------
-        answers
-            Refined ones with all their points.
-        rig
-            Of the K views of the answers.
         views
             Which views of the fit they are; None: cameras that it does not know.
-        seen, detected, smoothed
-            The keypoints; those before noise was removed, and how it was, as in `ObservedFrames`.
         modes
             Whether covariances and modes are wanted.
         """
-        frames, count, _ = answers.points3d.shape
+        frames, count, _ = lifted.answers.points3d.shape
         out = unknown_deviations(frames, count, modes=modes)
-        noise, factor = self.noise_of(views, seen.weights.shape[1]), self._factor_of(views, seen)
+        factor = self._factor_of(views, lifted.seen.weights.shape[1])
         in_slices(
             frames,
             FRAMES_AT_A_TIME,
-            lambda part: write_deviations(
-                answers, rig, seen, detected, smoothed, self.shapes, noise, factor,
-                part.start, part.stop, out,
-            ),
-        )  # fmt: skip
+            lambda part: write_deviations(lifted, factor, part.start, part.stop, out),
+        )
         return out
 
     @property
@@ -94,10 +72,10 @@ class Posterior(NamedTuple):
             return Noise(np.tile(usual, (count, 1)), np.ones(2), np.ones((2, count + 1)))
         return Noise(self.noise[list(views)], self.left, self.corrections)
 
-    def _factor_of(self, views: Sequence[int] | None, seen: Observations) -> Float64:
+    def _factor_of(self, views: Sequence[int] | None, count: int) -> Float64:
         if views is None:
-            factor = np.zeros((seen.weights.shape[1], VIEW, seen.weights.shape[1]))
-            factor[:, FOCAL] = UNKNOWN_LENS * np.eye(len(factor))
+            factor = np.zeros((count, VIEW, count))
+            factor[:, FOCAL] = UNKNOWN_LENS * np.eye(count)
             return factor
         return np.ascontiguousarray(self.factor[list(views)])
 

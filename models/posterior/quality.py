@@ -5,47 +5,74 @@ the deviations of its points are, how far its keypoints lie from where its camer
 and how unlike the shapes of the fit its structure is.
 """
 
+import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.numerics.compiled import inner
+from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky, cholesky_solve
 from models.posterior.frames import Frames, LearntShapes
 
+Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 UInt8 = NDArray[np.uint8]
 
 Reason = Literal["little_evidence", "views_disagree", "unlike_fit", "no_evidence"]
 REASONS: tuple[Reason, ...] = ("little_evidence", "views_disagree", "unlike_fit", "no_evidence")
-NO_EVIDENCE = len(REASONS)  # as in `quality_of`: 0 is no reason
+NO_EVIDENCE = len(REASONS)  # as in `judge`: 0 is no reason
 DOUBTFUL = 0.5  # a quality below this has a reason
 FIGURES = 3
 USUAL_SHARE = 0.9  # of the frames of a fit, that are below the usual figures
 # Frames of captures without noise differ by more than they need to: deviations of a hundredth of
 # the radius, and a third of the misfits that noise and shapes let expect.
-LEAST_USUAL = np.array([0.01, 0.3, 0.3])
+LEAST_USUAL = (0.01, 0.3, 0.3)
+FURTHEST = 2.0  # root-mean-square radii of the structure: half of a person's height
 
 
-def quality_of(figures: Float64, usual: Float64) -> tuple[Float32, UInt8]:
-    """Return the quality (N,) of frames in [0, 1] and the place of its reason in `REASONS`, from 1.
+@compiled
+def judge(
+    points: Float32, sds: Float32, figures: Float64, usual: Float64
+) -> tuple[Float32, UInt8, Bool]:
+    """Return the quality (N,) of frames, its reasons (N,), and which points (N, P) are nowhere.
 
     A frame whose figures are at most the usual ones has quality 1. Else it is the root of the
-    product of the usual figures over its own, as far as they are larger. NaN where a figure is.
+    product of the usual figures over its own, as far as they are larger. It is 0 without a
+    structure, and NaN where a figure is. A reason is a place in `REASONS`, from 1, or 0.
 
     Parameters
     ----------
+    points, sds
+        (N, P, 3), and (N, P) their deviations.
     figures, usual
         (N, 3), and (3,) those that nine in ten frames of the fit are below; 0 if not known.
     """
-    excess = np.maximum(figures / np.where(usual > 0, usual.clip(LEAST_USUAL), np.nan), 1.0)
-    quality = 1 / np.sqrt(excess.prod(1))
-    known = np.isfinite(quality)
-    worst = np.where(known[:, None], excess, 1.0).argmax(1) + 1
-    reasons = np.where(known & (quality < DOUBTFUL), worst, 0)
-    return quality.astype(np.float32), reasons.astype(np.uint8)
+    frames, count = sds.shape
+    quality, reasons = np.empty(frames, np.float32), np.zeros(frames, np.uint8)
+    nowhere = np.zeros((frames, count), np.bool_)
+    for n in range(frames):
+        there, squared, worst, product = False, 0.0, 0.0, 1.0
+        for p in range(count):
+            for i in range(3):
+                there = there or not math.isnan(points[n, p, i])
+                squared += points[n, p, i] ** 2 / count  # points are centred
+        for p in range(count):
+            nowhere[n, p] = sds[n, p] > FURTHEST * math.sqrt(squared)
+        for f in range(FIGURES):
+            expected = max(usual[f], LEAST_USUAL[f]) if usual[f] > 0 else math.nan
+            excess = figures[n, f] / expected
+            if not excess <= 1:  # NaN, too
+                product *= excess
+                if excess > worst:
+                    worst, reasons[n] = excess, f + 1
+        quality[n] = 1 / math.sqrt(product) if there else 0.0
+        if not there:
+            reasons[n] = NO_EVIDENCE
+        elif not quality[n] < DOUBTFUL:
+            reasons[n] = 0
+    return quality, reasons, nowhere
 
 
 @inner

@@ -11,10 +11,11 @@ from models.bundle.problem import Rig
 from models.calibrating.result import SelfCalibration
 from models.capture.observations import Observations, pixels_of
 from models.findings.advice import attempt
+from models.lifting.deviations import as_lifted
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import ObservedFrames
-from models.posterior.deviations import frames_as_detected
+from models.posterior.answers import frames_as_detected
 from models.posterior.frames import Frames
 from models.posterior.learning import learn_posterior
 from models.posterior.posterior import Posterior
@@ -139,28 +140,16 @@ class _Lifts(NamedTuple):
         lift, observed = self.lift(pixels, weights, times)
         there: Bool = np.all(np.isfinite(lift.points3d), axis=(1, 2))
         there &= np.any(lift.camera_models > 0, axis=1)
-        frames = frames_as_detected(
-            lift._replace(points3d=np.where(there[:, None, None], lift.points3d, 0)),
-            self.rig,
-            *_as_seen(observed),
-            self.posterior.shapes,
-            self.posterior.noise_of(observed.views, weights.shape[1]),
-            0,
-            len(there),
-        )
-        return frames, there
-
-
-def _as_seen(observed: ObservedFrames) -> tuple[Observations, Float32, Bool]:
-    return observed.observations, observed.detected, observed.smoothed
+        lift = lift._replace(points3d=np.where(there[:, None, None], lift.points3d, 0))
+        lifted = as_lifted(lift, self.posterior, self.rig, observed)
+        return frames_as_detected(lifted, 0, len(there)), there
 
 
 def _usual(lifts: _Lifts, detected: Observations) -> Float64:
     """Return the usual figures (3,) of the frames; 0 if none has a perspective camera."""
     lift, observed = lifts.lift(pixels_of(detected)[0], detected.weights, None)
-    found = lifts.posterior.deviations(
-        lift, lifts.rig, observed.views, *_as_seen(observed), modes=False
-    )
+    lifted = as_lifted(lift, lifts.posterior, lifts.rig, observed)
+    found = lifts.posterior.deviations(lifted, observed.views, modes=False)
     known = found.figures[np.isfinite(found.figures).all(1)]
     return np.quantile(known, USUAL_SHARE, 0) if len(known) else lifts.posterior.usual
 
