@@ -62,12 +62,14 @@ int main(int, char** arguments) {
     std::vector<uint8_t> seen((keypoints + 3) / 4 * 4);
     std::vector<float> outlier_probability(views.size() * keypoints);
     std::vector<float> points3d_sd(keypoints);  // of streams with "uncertainty": "sd", the default
+    struct { float quality; uint8_t reason, zeros[3]; } reliance;  // of the same streams
     if (std::fread(points.data(), sizeof(Point), keypoints, stdin) != keypoints ||
         std::fread(views.data(), sizeof(View), views.size(), stdin) != views.size() ||
         std::fread(seen.data(), 1, seen.size(), stdin) != seen.size() ||
         std::fread(outlier_probability.data(), sizeof(float), outlier_probability.size(), stdin) !=
             outlier_probability.size() ||
-        std::fread(points3d_sd.data(), sizeof(float), keypoints, stdin) != keypoints)
+        std::fread(points3d_sd.data(), sizeof(float), keypoints, stdin) != keypoints ||
+        std::fread(&reliance, sizeof reliance, 1, stdin) != 1)
       return 1;
     for (const View& view : views)
       for (const Point& point : points) {

@@ -20,6 +20,7 @@ from service.realtime.sockets import error_text, receive
 from service.realtime.stream_frames import (
     FilmClock,
     Frame,
+    quality_bytes,
     read_frame,
     seen_bytes,
     uncertainty_bytes,
@@ -102,6 +103,7 @@ class Conversation:
             uncertainty_bytes=uncertainty_bytes(
                 self._prior.keypoints_per_frame, self._start.uncertainty
             ),
+            quality_bytes=quality_bytes(self._start.uncertainty),
             limits=StreamLimits(
                 message_bytes=self._settings.max_stream_bytes,
                 frames_in_hand=FRAMES_IN_HAND,

@@ -30,6 +30,7 @@ from service.wire.stream_messages import (
     FRAME,
     HEADER,
     LIFTED,
+    QUALITY,
     TIME,
     VIEW,
     WITH_CONFIDENCE,
@@ -244,12 +245,19 @@ def uncertainty_bytes(keypoints: int, uncertainty: Uncertainty) -> int:
     return FLOAT * keypoints * numbers_of(uncertainty)
 
 
+def quality_bytes(uncertainty: Uncertainty) -> int:
+    """Return how many bytes an answer has of how far its frame may be relied on."""
+    return 0 if uncertainty == "off" else QUALITY.size
+
+
 def write_answer(
     frame: Frame, lift: LiftedFrames, prior: FittedPrior, uncertainty: Uncertainty
 ) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     if frame.binary:
-        return _as_bytes(ANSWER, frame, lift, uncertainty)
+        answered = _as_bytes(ANSWER, frame, lift, uncertainty)
+        quality = QUALITY.pack(lift.quality[0], lift.quality_reason[0])
+        return answered + quality[: quality_bytes(uncertainty)]
     (text,) = frames_to_json(of_uncertainty(lift.arrays, uncertainty))
     answer = {
         "type": "answer",

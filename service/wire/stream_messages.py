@@ -7,8 +7,9 @@ Its answer:        kind u8 = 2, flags u8, views u16 (K), sequence u32, points3d 
                    times `VIEW`, keypoints_seen u8 (P), zeros up to a multiple of 4 bytes,
                    outlier_probability f32 (K, P), then the arrays of the stream's `uncertainty`:
                    points3d_sd f32 (P), points3d_covariance f32 (P, 6), points3d_modes f32
-                   (P, 3, 12). NaN: no answer. Flag 1: the frame could be lifted, 2: its refinement
-                   started from the answer before, 4, 8, 16 and 32: see `FINDINGS`.
+                   (P, 3, 12). NaN: no answer. Unless it is `off`, `QUALITY` is last. Flag 1: the
+                   frame could be lifted, 2: its refinement started from the answer before, 4, 8,
+                   16 and 32: see `FINDINGS`.
 """
 
 import struct
@@ -43,6 +44,7 @@ LIFTED, CONTINUED = 1, 2  # flags of an answer
 FINDINGS = 2  # bits by which the sum of a frame's findings (`Lift.findings`) is shifted in flags
 ALIGNED = 4  # bytes that a message is a multiple of
 HEADER, TIME = struct.Struct("<BBHI"), struct.Struct("<d")
+QUALITY = struct.Struct("<fB3x")  # NaN: not known; and the place of its reason, from 1, or 0
 VIEW = np.dtype(
     [
         ("camera_models", "<i4"),  # -1 none, 0 weak perspective, 1 perspective, 2 fisheye
@@ -147,6 +149,7 @@ class StreamReady(BaseModel):
                 "view_bytes": 108,
                 "seen_bytes": 20,
                 "uncertainty_bytes": 68,
+                "quality_bytes": 8,
                 "limits": {"message_bytes": 262144, "frames_in_hand": 16, "idle_seconds": 60.0},
             }
         }
@@ -174,6 +177,11 @@ class StreamReady(BaseModel):
         description="Of what follows `outlier_probability` in a binary answer: `points3d_sd` "
         "unless `uncertainty` is `off`, and if it is `full` `points3d_covariance` and "
         "`points3d_modes`. Streams of services that do not have this field end before."
+    )
+    quality_bytes: int = Field(
+        description="Of what ends a binary answer: `quality` as a float, `quality_reason` as a "
+        "byte, from 1, or 0, and zeros. 0 if `uncertainty` is `off`. Streams of services that do "
+        "not have this field end before."
     )
     limits: StreamLimits
 

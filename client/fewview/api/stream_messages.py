@@ -20,6 +20,7 @@ WITH_CONFIDENCE, WITH_TIME = 1, 2
 LIFTED, CONTINUED = 1, 2
 ALIGNED = 4  # bytes: the keypoints' part of an answer is padded to a multiple of this
 HEADER, TIME = struct.Struct("<BBHI"), struct.Struct("<d")
+QUALITY = struct.Struct("<fB3x")  # ends an answer
 FLUSH = json.dumps({"flush": True})
 VIEW = np.dtype(
     [
@@ -85,6 +86,9 @@ class Answer:
     points3d_sd, points3d_covariance, points3d_modes
         (P,), (P, 6) and (P, 3, 12) as in :class:`~fewview.Lift`; None if the stream was not asked
         for them.
+    quality, quality_reason
+        How far the frame may be relied on, and why it is below 0.5, as in :class:`~fewview.Lift`;
+        None where ``uncertainty`` is ``"off"``, and from older services.
     findings
         Sum of 1 ``rig_not_used``, 2 ``frame_unlike_fit``, 4 ``coordinates_of_another_scale``,
         8 ``not_in_room``.
@@ -101,6 +105,8 @@ class Answer:
     points3d_sd: Float32 | None = None
     points3d_covariance: Float32 | None = None
     points3d_modes: Float32 | None = None
+    quality: float | None = None
+    quality_reason: int | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,7 @@ def read_message(message: str | bytes, keypoints: int, uncertainty: str) -> Answ
     for name, shape in UNCERTAINTY[uncertainty].items():
         array = np.frombuffer(message, "<f4", keypoints * prod(shape), start)
         found[name], start = array.reshape(keypoints, *shape), start + array.nbytes
+    quality, reason = QUALITY.unpack_from(message, start) if len(message) > start else (None, None)
     return Answer(
         sequence=sequence,
         lifted=bool(flags & LIFTED),
@@ -169,6 +176,8 @@ def read_message(message: str | bytes, keypoints: int, uncertainty: str) -> Answ
         keypoints_seen=np.frombuffer(message, np.uint8, keypoints, seen_at),
         outlier_probability=judged.reshape(count, keypoints),
         findings=flags >> 2,
+        quality=quality,
+        quality_reason=reason,
         **found,
     )
 

@@ -23,6 +23,7 @@ from tests.service.conftest import (
 
 Array = np.ndarray[Any, Any]
 KEYPOINTS = 16  # of the models of these tests
+QUALITY = 8  # bytes that end an answer
 
 VIEW = np.dtype(
     "<i4, (3,3)<f4, <f4, 3<f4, 2<f4, 2<f4, 8<f4, <f4",
@@ -107,7 +108,8 @@ def read_bytes(data: str | bytes) -> Answer:
     seen_at = views_at + 108 * count
     judged_at = seen_at + keypoints
     ends = judged_at + 4 * count * keypoints
-    assert len(data) - ends in {4 * keypoints * n for n in (0, 1, 43)}  # `uncertainty_in` has it
+    # `uncertainty_in` and `quality_in` have what follows.
+    assert len(data) - ends in {0, *(4 * keypoints * n + QUALITY for n in (1, 43))}
     return Answer(
         sequence,
         flags,
@@ -118,13 +120,21 @@ def read_bytes(data: str | bytes) -> Answer:
     )
 
 
+def quality_in(data: str | bytes) -> tuple[float, int]:
+    """Return the quality that ends an answer in bytes, and the number of its reason."""
+    assert isinstance(data, bytes), data
+    quality, reason = struct.unpack("<fB3x", data[-QUALITY:])
+    return quality, reason
+
+
 def uncertainty_in(data: str | bytes) -> dict[str, Array]:
     """Return the arrays of an answer in bytes that are how far its points may be off."""
     assert isinstance(data, bytes), data
     views = struct.unpack_from("<H", data, 2)[0]
-    numbers = np.frombuffer(data[8 + 13 * KEYPOINTS + views * (108 + 4 * KEYPOINTS) :], "<f4")
-    if not numbers.size:
+    rest = data[8 + 13 * KEYPOINTS + views * (108 + 4 * KEYPOINTS) :]
+    if not rest:
         return {}
+    numbers = np.frombuffer(rest[:-QUALITY], "<f4")
     found = {"points3d_sd": numbers[:KEYPOINTS]}
     if numbers.size > KEYPOINTS:
         covariances, modes = np.split(numbers[KEYPOINTS:], [6 * KEYPOINTS])

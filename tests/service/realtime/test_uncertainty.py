@@ -8,10 +8,12 @@ import httpx2
 import numpy as np
 import orjson
 import pytest
+from fewview import Client
 from pydantic import TypeAdapter
 from safetensors.numpy import load
 
 from models.lifting.lift import LiftedFrames
+from models.posterior.quality import NO_EVIDENCE
 from models.settings.uncertainty import ARRAYS, Uncertainty
 from service.settings import Settings
 from service.wire.schemas import LiftedFrame
@@ -22,6 +24,7 @@ from tests.service.realtime.conftest import (
     as_bytes,
     as_json,
     opened,
+    quality_in,
     read_bytes,
     read_json,
     started,
@@ -152,12 +155,32 @@ def test_streams_have_as_much_as_each_asked_for(
                 else:
                     assert read_bytes(message).sequence == n
                     found = uncertainty_in(message)
+                    if kind != "off":
+                        quality, reason = quality_in(message)
+                        assert quality == pytest.approx(expected.quality[n % 6], rel=1e-3)
+                        assert reason == expected.quality_reason[n % 6]
                 one = {name: array[None] for name, array in found.items()}
                 check(one, kind, expected.frames(slice(n % 6, n % 6 + 1)))
 
     with ThreadPoolExecutor(6) as threads:
         for done in [threads.submit(conversation, kind) for kind in KINDS * 2]:
             done.result()
+
+
+def test_the_client_reads_the_quality_of_frames(
+    http: httpx2.Client, model: str, expected: LiftedFrames
+) -> None:
+    with Client(str(http.base_url)) as client:
+        for kind in KINDS:
+            with client.stream(model, uncertainty=kind) as stream:
+                for n in (0, 3):
+                    answer = stream.lift(FRAMES[n])
+                    if kind == "off":
+                        assert answer.quality is answer.quality_reason is None
+                        continue
+                    assert answer.quality == pytest.approx(expected.quality[n], rel=1e-3)
+                    assert answer.quality_reason == expected.quality_reason[n]
+    assert expected.quality_reason[3] == NO_EVIDENCE
 
 
 def test_the_start_of_a_stream_says_how_long_it_is(http: httpx2.Client, model: str) -> None:
@@ -167,6 +190,7 @@ def test_the_start_of_a_stream_says_how_long_it_is(http: httpx2.Client, model: s
             ready = orjson.loads(socket.recv(timeout=300))
         assert ready["uncertainty"] == kind
         assert ready["uncertainty_bytes"] == 4 * KEYPOINTS * numbers
+        assert ready["quality_bytes"] == 8 * numbers
     with opened(http) as socket:
         socket.send(orjson.dumps({"model": model, "uncertainty": "full"}).decode())
         length = orjson.loads(socket.recv(timeout=300))["uncertainty_bytes"]
