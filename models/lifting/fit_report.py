@@ -29,6 +29,9 @@ Float64 = NDArray[np.float64]
 HEIGHT = 4.0  # root-mean-square radii: about the height of a person
 MOST_FRAMES = 40  # that the worth of views is computed from
 WORST = 10  # frames that are named
+BLOCKS = 20  # of frames whose errors are independent
+OF_MEDIAN = math.sqrt(math.pi / 2)  # its deviation, over that of a mean
+TO_SD = 1.4826  # of a normal distribution, over its median absolute deviation
 HELPS = 0.85  # of the expected error, that one more camera must leave at most to be advised
 WORDS = {
     "little_evidence": "too few keypoints or views",
@@ -52,6 +55,7 @@ class FitReport(NamedTuple):
     quality: list[float | None]  # (N,) in [0, 1]
     reasons: list[str | None]  # (N,) of a low quality, of `models.posterior.quality.REASONS`
     noise_px: list[list[float | None]] | None  # (K, P)
+    scale_sd: float | None  # of a known length: share by which all lengths may be off together
     worst_frames: list[int]  # the least reliable first
     of_views: list[ViewsWorth]  # the best first
     cameras: list[Direction]  # (K,) where they are; none unless all are of one static rig
@@ -95,6 +99,7 @@ def fit_report(
         quality=[_number(value) for value in lift.quality.tolist()],
         reasons=[REASONS[place - 1] if place else None for place in lift.quality_reason.tolist()],
         noise_px=None if prior.posterior is None else _noise(prior, prior.posterior.noise),
+        scale_sd=scale_sd(prior, lift),
         worst_frames=_worst(lift),
         of_views=cameras.of_views,
         cameras=cameras.there,
@@ -158,6 +163,29 @@ def _number(value: float) -> float | None:
 def _root_mean(squares: Float64) -> float | None:
     known = squares[np.isfinite(squares)]
     return float(np.sqrt(known.mean())) if len(known) else None
+
+
+def scale_sd(prior: FittedPrior, lift: LiftedFrames) -> float | None:
+    """Return the deviation of the median by which a known length gives the scale, as its share.
+
+    It is how medians of blocks of frames differ, or what the frames' own deviations leave open, if
+    that is more: lifts may hold the length.
+    """
+    if prior.config.known_length is None:
+        return None
+    a, b = prior.config.known_length.ends
+    lengths = np.linalg.norm(lift.points3d[:, a] - lift.points3d[:, b], axis=-1).astype(np.float64)
+    variances = np.square(lift.points3d_sd[:, [a, b]].astype(np.float64)).sum(1) / 3  # along it
+    known = np.isfinite(lengths + variances)
+    count = int(known.sum())
+    if not count:
+        return None
+    blocks = np.array_split(lengths[known], min(BLOCKS, count))
+    medians = np.array([np.median(block) for block in blocks])
+    typical = float(np.median(medians))
+    spread = TO_SD * float(np.median(np.abs(medians - typical)))
+    of_points = math.sqrt(float(variances[known].mean()) / count)
+    return OF_MEDIAN * max(spread / math.sqrt(len(blocks)), of_points) / typical
 
 
 def _worst(lift: LiftedFrames) -> list[int]:

@@ -43,6 +43,7 @@ EXAMPLE: dict[str, Any] = {
     "quality": [0.97, 0.0, 0.41],
     "reasons": [None, "no_evidence", "views_disagree"],
     "noise_px": [[1.4, 2.1], [1.2, 2.6]],
+    "scale_sd": 0.004,
     "worst_frames": [2],
     "of_views": [
         {"views": [0, 1], "expected_error": 0.011},
@@ -74,6 +75,7 @@ EXAMPLE: dict[str, Any] = {
     "view_names": ["left", "right"],
     "found_cameras": None,
     "views_late": None,
+    "views_late_sd": None,
     "findings": [],
 }
 
@@ -144,6 +146,12 @@ class FitReport(BaseModel):
     noise_px: list[list[float | None]] | None = Field(
         description="Views x keypoints: standard deviation of a detection's coordinate, pixels."
     )
+    scale_sd: float | None = Field(
+        None,
+        description="Share by which all lengths may be off together, as standard deviation: of the "
+        "median over frames by which the known length gives their unit. Null without one, and for "
+        "fits of older versions.",
+    )
     worst_frames: list[int] = Field(description="The least reliable first.")
     of_views: list[ViewsWorth] = Field(description="Choices of views, the best first.")
     cameras: list[CameraDirection] = Field(
@@ -159,6 +167,9 @@ class FitReport(BaseModel):
     views_late: list[float] | None = Field(
         description="By how many seconds each view is late, by the median; null where all are in "
         "step, or nothing is known of when."
+    )
+    views_late_sd: list[float | None] | None = Field(
+        description="Their standard deviations; null for views that are in step."
     )
     findings: Findings
 
@@ -190,9 +201,26 @@ def report_on(
             "view_names": view_names,
             "found_cameras": cameras,
             "views_late": views_late,
+            "views_late_sd": _late_sds(views_late, found),
             "findings": found,
         }
     )
+
+
+def _late_sds(views_late: list[float] | None, findings: list[Finding]) -> list[float | None] | None:
+    """Return how many seconds the delay of each view may be off; None for views in step.
+
+    Findings count in frames, and have one of their numbers in seconds, too.
+    """
+    if views_late is None:
+        return None
+    found: list[float | None] = [None] * len(views_late)
+    for finding in findings:
+        numbers = finding.evidence
+        frames, seconds = numbers.get("offset_frames"), numbers.get("offset_seconds")
+        if finding.code == "views_out_of_step" and frames and seconds and "sd_frames" in numbers:
+            found[finding.views[0]] = numbers["sd_frames"] * seconds / frames
+    return found
 
 
 def _unit_of(config: FitConfig, findings: list[Finding]) -> UnitSource | None:

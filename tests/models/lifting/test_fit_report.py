@@ -1,12 +1,14 @@
 """What a fit reports of its own answers."""
 
+from copy import copy
 from functools import cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 
-from models.lifting.fit_report import FitReport, fit_report
+from models.lifting.fit_report import FitReport, fit_report, scale_sd
+from models.settings.calibration import KnownLength
 from tests.models.posterior.test_deviations import capture, prior
 
 
@@ -71,6 +73,27 @@ def test_doubtful_frames_are_named() -> None:
     assert found.quality[20] == 0
     assert found.of_frames[20] is None
     assert "frames are doubtful" in found.verdict
+
+
+def test_the_scale_may_be_off_by_as_much_as_is_expected() -> None:
+    """With every bone as the known length, against what all bones agree on."""
+    assert report().scale_sd is None
+    keypoints, truth = capture().keypoints, capture().points3d
+    lift, scores = prior().lift(keypoints), []
+    for a, b in combinations(range(truth.shape[1]), 2):
+        true = np.linalg.norm(truth[:, a] - truth[:, b], axis=-1)
+        if true.std() > 0.001 * true.mean():
+            continue
+        measured = copy(prior())
+        known = KnownLength(keypoints=(a, b), length=1.0)
+        measured.config = prior().config.model_copy(update={"known_length": known})
+        sd = scale_sd(measured, lift)
+        assert sd is not None
+        ours = np.median(np.linalg.norm(lift.points3d[:, a] - lift.points3d[:, b], axis=-1))
+        scores.append((np.log(ours / true.mean()), sd))
+    off, expected = np.array(scores).T
+    assert len(off) == 15
+    assert 0.5 < np.sqrt(np.mean(np.square((off - np.median(off)) / expected))) < 2
 
 
 def test_weak_perspective_is_not_known() -> None:

@@ -9,8 +9,12 @@ import pytest
 from safetensors.numpy import load
 from starlette.testclient import TestClient
 
+from models.capture.clocks import Clocks
 from models.capture.synthetic import SyntheticCapture
+from models.findings.finding import Finding
 from models.lifting.fitted_prior import FittedPrior
+from models.settings.calibration import KnownLength
+from service.report.document import percent
 from service.settings import Settings
 from store.database import Store
 from tests.service.conftest import BYTES, Live, make_dataset, problem, to_npz
@@ -153,6 +157,34 @@ def test_names_of_users_are_text(api: TestClient, hostile: dict[str, Any]) -> No
     assert report["view_names"] == HOSTILE[:3]
     expected = report["verdict"]["expected"]
     assert "least certain" not in expected or any(name in expected for name in HOSTILE)
+
+
+def test_timing_and_scale_have_their_deviations(
+    api: TestClient, settings: Settings, weights: bytes, capture: SyntheticCapture
+) -> None:
+    """Of a fit with a known length whose second view was late by four frames."""
+    prior = FittedPrior.from_bytes(weights)
+    assert prior.posterior is not None
+    late = Finding.of(
+        "views_out_of_step", views=(1,), offset_frames=4.0, offset_seconds=0.08, sd_frames=0.5
+    )
+    clocks = Clocks(np.zeros(1), np.array([[0.0, 0.08, 0.0]]))
+    config = prior.config.model_copy(
+        update={"known_length": KnownLength(keypoints=(0, 1), length=0.3)}
+    )
+    seen = prior.capture._replace(findings=(late,), clocks=clocks)
+    measured = prior.of_capture(config, seen).with_posterior(prior.posterior)
+    dataset = make_dataset(api)
+    with closing(Store(settings)) as records:
+        fit_id = put_fit(records, dataset["id"], measured, capture.keypoints)
+    report = api.get(f"/fits/{fit_id}/report").json()
+    assert report["views_late"] == [0, 0.08, 0]
+    assert report["views_late_sd"] == [None, pytest.approx(0.01), None]
+    assert report["unit"] == "known_length"
+    assert 0.0001 < report["scale_sd"] < 0.1
+    page = Page(api.get(f"/fits/{fit_id}/report?format=html").text)
+    assert f"by the same ± {percent(report['scale_sd'])} (standard deviation)" in page.text
+    assert "0.080.01" in page.text  # cells of one row
 
 
 def test_a_report_outlives_dataset_and_model(api: TestClient, hostile: dict[str, Any]) -> None:
