@@ -183,7 +183,10 @@ def test_timing_and_scale_have_their_deviations(
     assert report["unit"] == "known_length"
     assert 0.0001 < report["scale_sd"] < 0.1
     page = Page(api.get(f"/fits/{fit_id}/report?format=html").text)
-    assert f"by the same ±\N{NO-BREAK SPACE}{percent(report['scale_sd'])} (standard deviation)" in page.text
+    assert (
+        f"by the same ±\N{NO-BREAK SPACE}{percent(report['scale_sd'])} (standard deviation)"
+        in page.text
+    )
     assert "0.080.01" in page.text  # cells of one row
 
 
