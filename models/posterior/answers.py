@@ -10,10 +10,10 @@ from models.bundle.problem import Rig
 from models.capture.observations import Observations
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
-from models.numerics.matrices import fill
 from models.numerics.rotations import nearest_rotation_into
 from models.numerics.threads import in_slices
 from models.optics.lenses.projection import project, project_into
+from models.posterior.frame import middle_of
 from models.posterior.frames import FRAMES_AT_A_TIME, Frames, LearntShapes
 
 Bool = NDArray[np.bool_]
@@ -245,12 +245,8 @@ def _growth(rotations: Float64, translations: Float64, used: NDArray[np.bool_], 
 @inner
 def _turn_into(points: Float64, mean: Float64, out: Float64) -> None:
     """Write scale times rotation from `mean` to the points, by least squares (Umeyama, 1991)."""
-    overlap, centre, middle, squared = np.empty((3, 3)), np.zeros(3), np.zeros(3), 0.0
-    for p in range(len(points)):
-        for i in range(3):
-            centre[i] += points[p, i] / len(points)
-            middle[i] += mean[p, i] / len(points)
-    fill(overlap, 0.0)
+    overlap, squared = np.zeros((3, 3)), 0.0
+    centre, middle = middle_of(points), middle_of(mean)
     for p in range(len(points)):
         for i in range(3):
             squared += (mean[p, i] - middle[i]) ** 2

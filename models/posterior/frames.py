@@ -183,8 +183,7 @@ def write_covariances(
         size = SIMILARITY - 1 if _rig_views(cameras, weights) > 1 else SIMILARITY
         _project(axes[:size], found.modes)
         _project(axes, found.by_cameras)
-        _correct(found, frames.corrections[n])
-        _write_blocks(found, out.blocks[n])
+        _write_blocks(found, frames.corrections[n], out.blocks[n])
         for p in range(count if len(out.modes) else 0):
             for i in range(3):
                 for a in range(found.modes.shape[2]):
@@ -250,27 +249,20 @@ def _project(axes: Float64, columns: Float64) -> None:
 
 
 @inner
-def _correct(found: FrameCovariance, corrections: Float64) -> None:
-    """Multiply each point's deviations with known cameras by its correction (P,)."""
-    for p in range(len(corrections)):
-        for i in range(3):
-            for j in range(3):
-                found.own[p, i, j] *= corrections[p] ** 2
-            for c in range(found.modes.shape[2]):
-                found.modes[p, i, c] *= corrections[p]
-
-
-@inner
-def _write_blocks(found: FrameCovariance, blocks: Float64) -> None:
-    """Write each point's covariance (P, 3, 3)."""
+def _write_blocks(found: FrameCovariance, corrections: Float64, blocks: Float64) -> None:
+    """Write each point's covariance (P, 3, 3), deviations with known cameras corrected (P,)."""
+    own, modes, by_cameras, _ = found
     for p in range(len(blocks)):
         for i in range(3):
+            for c in range(modes.shape[2]):
+                modes[p, i, c] *= corrections[p]
+        for i in range(3):
             for j in range(3):
-                block = found.own[p, i, j]
-                for c in range(found.modes.shape[2]):
-                    block += found.modes[p, i, c] * found.modes[p, j, c]
-                for t in range(found.by_cameras.shape[2]):
-                    block += found.by_cameras[p, i, t] * found.by_cameras[p, j, t]
+                block = own[p, i, j] * corrections[p] ** 2
+                for c in range(modes.shape[2]):
+                    block += modes[p, i, c] * modes[p, j, c]
+                for t in range(by_cameras.shape[2]):
+                    block += by_cameras[p, i, t] * by_cameras[p, j, t]
                 blocks[p, i, j] = block
 
 

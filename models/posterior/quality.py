@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky, cholesky_solve
+from models.posterior.frame import middle_of
 from models.posterior.frames import Frames, LearntShapes
 
 Bool = NDArray[np.bool_]
@@ -82,11 +83,7 @@ def write_figures(
     """Write the figures (3,) of a frame; `factor` is that of `factor_of_shapes`, `sds` are (P,)."""
     points, turned = frames.points[n], frames.turned[n]
     count, _, size = shapes.basis.shape
-    centre, middle, scaled = np.zeros(3), np.zeros(3), 0.0
-    for p in range(count):
-        for i in range(3):
-            centre[i] += points[p, i] / count
-            middle[i] += shapes.mean[p, i] / count
+    centre, middle, scaled = middle_of(points), middle_of(shapes.mean), 0.0
     for i in range(3):
         for j in range(3):
             scaled += turned[i, j] ** 2 / 3
