@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.motions import EXAMPLE, ROOT, motions, taken
+from benchmarks.motions import EXAMPLE, ROOT, chosen, motions, taken
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]
@@ -35,6 +35,7 @@ FOCALS = (0.5, 2.5)  # longer sides of the image
 RADIAL = (-0.25, 0.1)
 LEAST_SIZE = 20.0  # pixels, height of the smallest subject: four times the root-mean-square radius
 HEIGHT = 4.0
+STATIC, SHAKEN = "static", "shaken"
 ARRANGEMENTS = ("narrow", "wide", "around", "facing")
 NOISE = (0.001, 0.05)  # of the subject's height in the image
 CLEAN = 0.2  # share of draws without noise
@@ -51,11 +52,25 @@ class Draw(NamedTuple):
     points3d: Float64  # (N, P, 3) in the room
     rotations: Float64  # (N, K, 3, 3) x_camera = R x_room + t
     translations: Float64  # (N, K, 3)
-    focals: Float64  # (K,) pixels
-    centres: Float64  # (K, 2) pixels
+    focals: Float64  # (K,) pixels, the median of `frame_focals`
+    centres: Float64  # (K, 2) pixels, the median of `frame_centres`
     radial: Float64  # (K,) first radial coefficient
-    moving: bool
     noise: float  # pixels, standard deviation of a coordinate
+    images: Float64  # (K, 2) their sizes
+    kinds: tuple[str, ...]  # of the K cameras: `STATIC`, or how they move
+    frame_focals: Float64  # (N, K, 2) pixels across and down
+    frame_centres: Float64  # (N, K, 2)
+    times: Float64 | None = None  # (N,) seconds, if a fit may know them
+
+    @property
+    def static(self) -> Bool:
+        """Which cameras (K,) neither move nor show another part of their image in each frame."""
+        return np.array([kind == STATIC for kind in self.kinds])
+
+    @property
+    def moving(self) -> bool:
+        """Whether any camera is not static."""
+        return not self.static.all()
 
     @property
     def height(self) -> float:
@@ -86,16 +101,16 @@ def draw_capture(number: int, data: Path | None = None, half: str | None = None)
     else:
         name, points = _of_half(half, data, rng)
         points, words = _walking(points, rng, clip=True)
-    lens = _lenses(views, rng)
+    lens = draw_lenses(views, rng)
     arrangement = ARRANGEMENTS[int(rng.integers(len(ARRANGEMENTS)))]
-    rotations, translations = _poses(points, lens, arrangement, rng)
+    rotations, translations = place_cameras(points, lens, arrangement, rng)
     if moving:
         rotations, translations = _shaken(rotations, translations, len(points), rng)
     shape = (len(points), views)
     rotations = np.broadcast_to(rotations, (*shape, 3, 3))
     translations = np.broadcast_to(translations, (*shape, 3))
     exact = projected(points, rotations, translations, lens.focals, lens.centres, lens.radial)
-    keypoints, noise, harms = _detected(exact, lens, rng)
+    keypoints, noise, harms = detected(exact, lens, rng)
     sized = bool(rng.random() < 0.7)
     words = [
         f"{name}, {len(points)} frames",
@@ -104,7 +119,7 @@ def draw_capture(number: int, data: Path | None = None, half: str | None = None)
         "moving" if moving else "static",
         "like lenses" if np.ptp(lens.focals / lens.sizes.max(1)) == 0 else "unlike lenses",
         f"f {', '.join(f'{f:.2f}' for f in lens.focals / lens.sizes.max(1))}",
-        f"height {HEIGHT * float(np.nanmedian(_radii(exact))):.0f} px",
+        f"height {HEIGHT * float(np.nanmedian(radii(exact))):.0f} px",
         "sizes" if sized else "no sizes",
         *harms,
     ]
@@ -119,8 +134,11 @@ def draw_capture(number: int, data: Path | None = None, half: str | None = None)
         lens.focals,
         lens.centres,
         lens.radial,
-        moving,
         noise,
+        lens.sizes,
+        (SHAKEN if moving else STATIC,) * views,
+        np.broadcast_to(lens.focals[:, None], (*shape, 2)),
+        np.broadcast_to(lens.centres, (*shape, 2)),
     )
 
 
@@ -132,15 +150,21 @@ def projected(
     centres: Float64,
     radial: Float64,
 ) -> Float64:
-    """Pixels (N, K, P, 2) of points (N, P, 3) in cameras with one radial coefficient."""
+    """Pixels (N, K, P, 2) of points (N, P, 3) in cameras with one radial coefficient.
+
+    `focals` are (K,) or (N, K, 2), `centres` (K, 2) or (N, K, 2).
+    """
     held = points[:, None] @ rotations.mT + translations[:, :, None]  # (N, K, P, 3)
     flat = held[..., :2] / held[..., 2:]
     gain = 1 + radial[:, None, None] * np.square(flat).sum(-1, keepdims=True)
-    pixels: Float64 = focals[:, None, None] * gain * flat + centres[:, None]
+    focals = focals[:, None] if focals.ndim == 1 else focals
+    pixels: Float64 = focals[..., None, :] * gain * flat + centres[..., None, :]
     return pixels
 
 
-class _Lenses(NamedTuple):
+class DrawnLenses(NamedTuple):
+    """Lenses of K cameras, in pixels."""
+
     sizes: Float64  # (K, 2)
     focals: Float64  # (K,)
     centres: Float64  # (K, 2)
@@ -149,20 +173,16 @@ class _Lenses(NamedTuple):
 
 def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64, list[str]]:
     """Return frames (N, P, 3) of a motion about the origin with z up, and what was drawn."""
-    points, clip = taken(truth, up, int(_log_uniform(FRAMES, rng)), rng)
+    points, clip = taken(truth, up, int(log_uniform(FRAMES, rng)), rng)
     points, words = _walking(points, rng, clip=clip)
     return points, ["clip" if clip else "scattered", *words]
 
 
 def _of_half(half: str, data: Path | None, rng: np.random.Generator) -> tuple[str, Float64]:
-    """Draw a motion: each kind is as likely, and all clips are one."""
+    """Draw a motion."""
     found = motions(half, data)
-    clips = [name for name in found if name.startswith("clip ")]
-    kinds = [name for name in found if name not in clips] + ["clip"] * bool(clips)
-    name = str(rng.choice(kinds))
-    if name == "clip":
-        name = str(rng.choice(clips))
-    return name, found[name](int(_log_uniform(FRAMES, rng)), rng)
+    name = chosen(found, rng)
+    return name, found[name](int(log_uniform(FRAMES, rng)), rng)
 
 
 def _walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[Float64, list[str]]:
@@ -181,26 +201,36 @@ def _walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[
     return points, ["walking" if walks else "centred"]
 
 
-def _lenses(views: int, rng: np.random.Generator) -> _Lenses:
+def draw_lenses(views: int, rng: np.random.Generator) -> DrawnLenses:
+    """Draw the lenses of a rig."""
     like = bool(rng.random() < 0.6)
     side = float(rng.choice(SIDES))
     portrait = bool(rng.random() < 0.2)
     size = np.array([side, round(side * 9 / 16)])
     sizes = np.tile(size[::-1] if portrait else size, (views, 1))
-    focals = np.array([_log_uniform(FOCALS, rng) for _ in range(views)])
+    focals = np.array([log_uniform(FOCALS, rng) for _ in range(views)])
     radial = rng.uniform(*RADIAL, views)
     if like:
         focals[:], radial[:] = focals[0], radial[0]
     # Long lenses hardly bend: what they show lies near their axis.
     radial = radial * np.minimum(1, focals**2)
     centres = sizes / 2 + 0.01 * side * rng.standard_normal((views, 2))
-    return _Lenses(sizes, focals * side, centres, radial)
+    return DrawnLenses(sizes, focals * side, centres, radial)
 
 
-def _poses(
-    points: Float64, lens: _Lenses, arrangement: str, rng: np.random.Generator
+def place_cameras(
+    points: Float64,
+    lens: DrawnLenses,
+    arrangement: str,
+    rng: np.random.Generator,
+    *,
+    framed: Float64 | None = None,
 ) -> tuple[Float64, Float64]:
-    """Return rotations (K, 3, 3) and translations (K, 3) of cameras that look at the motion."""
+    """Return rotations (K, 3, 3) and translations (K, 3) of cameras that look at the motion.
+
+    The images are as large as the points `framed` need, by default all.
+    """
+    framed = points if framed is None else framed
     views = len(lens.focals)
     start = rng.uniform(0, 2 * np.pi)
     if arrangement == "facing":
@@ -214,7 +244,7 @@ def _poses(
         turns = start + np.linspace(0, arc, views) + 0.1 * arc / views * rng.standard_normal(views)
     tilts = rng.uniform(-0.1, 0.6, views)
     extent = float(np.nanmax(np.linalg.norm(points, axis=-1)))
-    spread = float(np.sqrt(np.nanmean(np.square(points).sum(-1))))
+    spread = float(np.sqrt(np.nanmean(np.square(framed).sum(-1))))
     share = lens.focals / lens.sizes.min(1)  # of the shorter side
     nearest = np.maximum(extent / (1 - NEAREST), 2.2 * spread * share.max())
     furthest = HEIGHT * radius(points) * lens.focals.min() / LEAST_SIZE
@@ -257,15 +287,15 @@ def _shaken(
     ]
 
 
-def _detected(
-    exact: Float64, lens: _Lenses, rng: np.random.Generator
+def detected(
+    exact: Float64, lens: DrawnLenses, rng: np.random.Generator
 ) -> tuple[Float64, float, list[str]]:
     """Return what a detector makes of exact keypoints, its noise in pixels, and what was drawn."""
     frames, views, points = exact.shape[:3]
     pixels, harms, noise = exact.copy(), [], 0.0
     if rng.random() >= CLEAN:
-        share = _log_uniform(NOISE, rng)
-        noise = share * HEIGHT * float(np.nanmedian(_radii(exact)))
+        share = log_uniform(NOISE, rng)
+        noise = share * HEIGHT * float(np.nanmedian(radii(exact)))
         levels = noise * np.exp(0.3 * rng.standard_normal(points))
         tails = bool(rng.random() < 0.4)
         unit = rng.standard_t(4, exact.shape) / np.sqrt(2) if tails else None
@@ -296,11 +326,12 @@ def _detected(
     return pixels, noise, harms
 
 
-def _log_uniform(ends: tuple[float, float], rng: np.random.Generator) -> float:
+def log_uniform(ends: tuple[float, float], rng: np.random.Generator) -> float:
+    """Draw a number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(np.log(ends[0]), np.log(ends[1]))))
 
 
-def _radii(points: Float64) -> Float64:
+def radii(points: Float64) -> Float64:
     """Root-mean-square radii (...,) of sets of points (..., P, D) about their means."""
     centred = points - np.nanmean(points, -2, keepdims=True)
     radii: Float64 = np.sqrt(np.nanmean(np.square(centred).sum(-1), -1))
@@ -309,4 +340,4 @@ def _radii(points: Float64) -> Float64:
 
 def radius(points: Float64) -> float:
     """Return the root-mean-square radius of structures (N, P, D), the median over frames."""
-    return float(np.nanmedian(_radii(points)))
+    return float(np.nanmedian(radii(points)))

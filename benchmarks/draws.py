@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from benchmarks.drawn_captures import Draw, draw_capture
+from benchmarks.motions import SETTING
+from benchmarks.moving_captures import ANY, KINDS, draw_moving
 from models.numerics.threads import use_threads
 
 Job = TypeVar("Job")
@@ -22,6 +24,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--draws", type=int, nargs=2, default=(0, 60), help="first and end")
     parser.add_argument("--only", type=int, nargs="+", help="these draws alone")
     parser.add_argument("--data", type=Path, help="folder of captures with `points3d`")
+    parser.add_argument(
+        "--kind", choices=(*KINDS, ANY), help=f"cameras that move so; {SETTING} if no half is given"
+    )
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", type=Path, help="write the results to this file")
 
@@ -52,6 +57,9 @@ def _of_draw(
     half: str | None,
     number: int,
 ) -> Found | None:
+    if arguments.kind:
+        moving = draw_moving(number, arguments.data, half or SETTING, arguments.kind)
+        return measure(moving, arguments)
     draw = draw_capture(number, arguments.data, half)
     return None if draw is None else measure(draw, arguments)
 

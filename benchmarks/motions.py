@@ -58,8 +58,13 @@ HUMANOID = (
 )
 
 
-def motions(half: str, data: Path | None = None) -> dict[str, Motion]:
-    """Return the motions of a half by name; those of files in the folder `data` if it has them."""
+def motions(
+    half: str, data: Path | None = None, *, in_a_row: bool | None = None
+) -> dict[str, Motion]:
+    """Return the motions of a half by name; those of files in the folder `data` if it has them.
+
+    Frames of captures are `in_a_row` or scattered; either if it is None.
+    """
     found: dict[str, Motion] = {
         "skeleton": partial(skeleton, branching=half == SETTING),
         "seated": partial(seated, face=half == SETTING),
@@ -69,7 +74,7 @@ def motions(half: str, data: Path | None = None) -> dict[str, Motion]:
     for name, up in CAPTURES[half].items():
         file = EXAMPLE if name == EXAMPLE.stem else folder / f"{name}.npz"
         if file.exists():
-            found[name] = partial(capture, file, up)
+            found[name] = partial(capture, file, up, in_a_row=in_a_row)
     for name in CLIPS[half]:
         file = folder / "motions" / f"humanoid3d_{name}.txt"
         if file.exists():
@@ -77,16 +82,39 @@ def motions(half: str, data: Path | None = None) -> dict[str, Motion]:
     return found
 
 
-def capture(file: Path, up: int, frames: int, rng: np.random.Generator) -> Float64:
+def chosen(found: dict[str, Motion], rng: np.random.Generator) -> str:
+    """Draw the name of a motion: each kind is as likely, and all clips are one."""
+    clips = [name for name in found if name.startswith("clip ")]
+    kinds = [name for name in found if name not in clips] + ["clip"] * bool(clips)
+    name = str(rng.choice(kinds))
+    return str(rng.choice(clips)) if name == "clip" else name
+
+
+def capture(
+    file: Path,
+    up: int,
+    frames: int,
+    rng: np.random.Generator,
+    *,
+    in_a_row: bool | None = None,
+) -> Float64:
     """Take some frames of a capture's ground truth."""
     with np.load(file) as arrays:
-        return taken(arrays["points3d"].astype(np.float64), up, frames, rng)[0]
+        return taken(arrays["points3d"].astype(np.float64), up, frames, rng, in_a_row=in_a_row)[0]
 
 
-def taken(truth: Float64, up: int, frames: int, rng: np.random.Generator) -> tuple[Float64, bool]:
+def taken(
+    truth: Float64,
+    up: int,
+    frames: int,
+    rng: np.random.Generator,
+    *,
+    in_a_row: bool | None = None,
+) -> tuple[Float64, bool]:
     """Return frames (N, P, 3) of a ground truth with z up, and whether they are in a row."""
     complete = np.flatnonzero(np.isfinite(truth).all(-1).mean(1) > 0.8)
-    in_a_row = bool(rng.random() < 0.6)
+    if in_a_row is None:
+        in_a_row = bool(rng.random() < 0.6)
     if in_a_row:
         stride = int(rng.integers(1, max(2, len(complete) // frames)))
         span = min(frames * stride, len(complete))
@@ -223,10 +251,21 @@ def loose(frames: int, rng: np.random.Generator, *, waves: bool) -> Float64:
     return np.asarray(shapes @ turn.mT)
 
 
-def courses(frames: int, shape: tuple[int, ...], rng: np.random.Generator) -> Float64:
-    """Return random courses in time (N, *shape), smooth and of variance 1."""
-    time = np.arange(frames) / FPS
-    rates = np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST), (HARMONICS, *shape)))
+def courses(
+    frames: int,
+    shape: tuple[int, ...],
+    rng: np.random.Generator,
+    *,
+    between: tuple[float, float] = (SLOWEST, FASTEST),
+    fps: float = FPS,
+) -> Float64:
+    """Return random courses in time (N, *shape), smooth and of variance 1.
+
+    Their rates lie `between` two, in cycles a second.
+    """
+    time = np.arange(frames) / fps
+    low, high = np.log(between)
+    rates = np.exp(rng.uniform(low, high, (HARMONICS, *shape)))
     phases = rng.uniform(0, 2 * np.pi, (HARMONICS, *shape))
     angles = 2 * np.pi * np.multiply.outer(time, rates) + phases
     return np.asarray(np.sin(angles).sum(1) * np.sqrt(2 / HARMONICS))

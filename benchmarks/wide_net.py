@@ -12,10 +12,10 @@ that of triangulation with the true cameras. The truth takes no part in any fit.
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from benchmarks.drawn_captures import Draw
 from benchmarks.draws import add_options, of_draws
 from benchmarks.figures import print_table
 from benchmarks.motions import HALVES
+from benchmarks.net_rows import Row, line, summary
 from benchmarks.oracle import by_oracle
 from models.calibrating.handedness import certainty
 from models.calibrating.keypoint_rig import focal_deviations, geometry_of, start_from_geometry
@@ -44,41 +45,6 @@ from models.training.trainer import fit
 Float64 = NDArray[np.float64]
 DEFAULT = FitConfig()
 FEWEST = 4  # keypoints of a frame that two views see, for the frame to count
-SLACK = 0.001  # of the subject's height that is granted beyond a ratio
-ABOUT_CAMERAS = (  # findings that warn of the cameras
-    "cameras_not_found",
-    "focal_not_observable",
-    "handedness_not_observable",
-    "lenses_extreme",
-    "lenses_limit_accuracy",
-    "views_opposite",
-)
-
-
-class Row(NamedTuple):
-    """What was found of one draw."""
-
-    number: int
-    words: str
-    error: float  # of the answer, in units of the subject's height
-    bound: float  # the same of triangulation with the true cameras
-    oracle: float  # the same of the oracle
-    mirrored: bool  # whether the mirror image is nearer to the truth
-    certainty: float  # of the handedness
-    moving: bool  # as drawn
-    called_moving: bool
-    focal_scores: list[float]  # errors of log focal lengths over their standard deviations
-    focal_error: float  # largest error of a log focal length
-    turn: float  # degrees, largest error of a rotation between two cameras
-    inferred: tuple[float, float]  # median and 95th percentile where one view sees, in heights
-    reach: float  # longer sides of the image, largest distance of a reprojection from its centre
-    findings: tuple[str, ...]
-    seconds: float
-
-    @property
-    def ratio(self) -> float:
-        """The error over what triangulation with the true cameras has, less the slack."""
-        return max(self.error - SLACK, 0.0) / max(self.bound, 1e-9)
 
 
 def main() -> None:
@@ -87,7 +53,7 @@ def main() -> None:
     rows = []
     for row in of_draws(_measured, arguments, arguments.half):
         rows.append(row)
-        print(_line(row), flush=True)
+        print(line(row), flush=True)
     print_table("Shares", summary(rows))
     if arguments.json:
         arguments.json.write_text(json.dumps([row._asdict() for row in rows]) + "\n")
@@ -125,7 +91,7 @@ class Answer(NamedTuple):
     """What was made of a draw."""
 
     points: Float64  # (N, P, 3)
-    static: bool  # whether all cameras were found to be static
+    static: NDArray[np.bool_]  # (K,) which cameras were found to be static
     certainty: float
     rotations: Float64  # (K, 3, 3); NaN of cameras that were not found
     focals: Float64  # (K,) pixels
@@ -142,8 +108,8 @@ def by_geometry(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
     if found is None:
         return _without_cameras(draw, np.full(draw.points3d.shape, np.nan), ())
     problem, found = finished(settle_lenses(problem, found))
-    rig, static = found.best.rig, bool(found.static.all())
-    started = start_from_geometry(problem, found) if static else None
+    rig, static = found.best.rig, found.static
+    started = start_from_geometry(problem, found) if static.all() else None
     findings = () if started is None else finished(lens_findings(problem, *started))
     return Answer(
         found.best.points,
@@ -159,14 +125,14 @@ def by_geometry(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
 
 def by_fit(draw: Draw, config: FitConfig = DEFAULT) -> Answer:
     """Fit, and lift the frames of the fit."""
-    prior = fit(draw.keypoints, config, image_sizes=draw.sizes)
+    prior = fit(draw.keypoints, config, times=draw.times, image_sizes=draw.sizes)
     lift = prior.lift(draw.keypoints)
     cameras, points = prior.cameras, lift.points3d.astype(np.float64)
     if cameras is None:
         return _without_cameras(draw, points, prior.findings, _reach(draw, lift))
     return Answer(
         points,
-        bool(cameras.static.all()),
+        cameras.static,
         cameras.handedness_certainty,
         np.where(cameras.static[:, None, None], cameras.rotations, np.nan),
         cameras.focals.mean(1),
@@ -181,7 +147,8 @@ def _without_cameras(
 ) -> Answer:
     rotations = np.full((draw.keypoints.shape[1], 3, 3), np.nan)
     unknown = rotations[:, 0, 0]
-    return Answer(points, False, 0.0, rotations, unknown, unknown.copy(), reach, findings)
+    static = np.zeros(len(rotations), bool)
+    return Answer(points, static, 0.0, rotations, unknown, unknown.copy(), reach, findings)
 
 
 def _reach(draw: Draw, lift: LiftedFrames) -> float:
@@ -199,7 +166,7 @@ def _reach(draw: Draw, lift: LiftedFrames) -> float:
             lift.distortions[there, k].astype(np.float64),
             lift.camera_models[there, k] - np.int8(1),
         )
-        away = np.abs(project(held, lenses) - draw.centres[k]) / (2 * draw.centres[k].max())
+        away = np.abs(project(held, lenses) - draw.images[k] / 2) / draw.images[k].max()
         furthest = max(furthest, float(np.nanmax(away, initial=0)))
     return furthest
 
@@ -224,8 +191,8 @@ def measure(draw: Draw, found: Callable[[Draw], Answer], oracle: Path | None) ->
         np.nan if oracle is None else _error(draw, by_oracle(draw, oracle), asked),
         bool(reflected < error),
         answer.certainty,
-        draw.moving,
-        not answer.static,
+        tuple(draw.static.tolist()),
+        tuple(answer.static.tolist()),
         [float(score) for score in logs / answer.focal_sds if np.isfinite(score)],
         float(np.nanmax(logs, initial=0)),
         _turn(draw, answer.rotations),
@@ -240,25 +207,29 @@ def triangulated(draw: Draw) -> Float64:
     """Points (N, P, 3) of robust triangulation with the true cameras; NaN where one view sees."""
     side = 1000.0  # only a unit
     points = np.full(draw.points3d.shape, np.nan)
-    for frames in [range(len(points))] if not draw.moving else [[n] for n in range(len(points))]:
+    # As pixels of cameras whose lenses stay: a lens that changes moves and scales pixels alone.
+    ahead = (draw.keypoints - draw.frame_centres[..., None, :]) / draw.frame_focals[..., None, :]
+    pixels = draw.focals[:, None, None] * ahead / side
+    poses = draw.rotations, draw.translations
+    still = all(np.array_equal(pose, np.broadcast_to(pose[0], pose.shape)) for pose in poses)
+    for frames in [list(range(len(points)))] if still else [[n] for n in range(len(points))]:
         first = frames[0]
         rig = StaticCameras(
             np.log(draw.focals / side),
-            draw.centres / side,
+            np.zeros(draw.centres.shape),
             np.stack((draw.radial, np.zeros(len(draw.radial))), 1),
             draw.rotations[first],
             draw.translations[first],
         )
-        pixels = draw.keypoints[list(frames)]
         views, count = pixels.shape[1], pixels.shape[2]
-        images = pixels.transpose(1, 3, 0, 2).reshape(views, 2, -1) / side
+        images = pixels[frames].transpose(1, 3, 0, 2).reshape(views, 2, -1)
         weights = np.isfinite(images).all(1).astype(float)
         twice = weights.sum(0) > 1
         seen = SeenPoints(np.nan_to_num(images[..., twice]), weights[:, twice])
         noise = np.full(views, max(draw.noise, 1e-3 * side / 10) / side)
-        of_frames = np.full((len(pixels) * count, 3), np.nan)
+        of_frames = np.full((len(frames) * count, 3), np.nan)
         of_frames[twice] = robust_points(rig, seen, noise).T
-        points[list(frames)] = of_frames.reshape(len(pixels), count, 3)
+        points[frames] = of_frames.reshape(len(frames), count, 3)
     return points
 
 
@@ -285,94 +256,14 @@ def _inferred(
 
 
 def _turn(draw: Draw, rotations: Float64) -> float:
-    """Largest error in degrees of a rotation between two cameras that were found to be static."""
-    known = np.flatnonzero(np.isfinite(rotations).all((1, 2)))
-    if len(known) < 2 or draw.moving:
+    """Largest error in degrees of a rotation between two static cameras that were found so."""
+    known = np.flatnonzero(np.isfinite(rotations).all((1, 2)) & draw.static)
+    if len(known) < 2:
         return float("nan")
     ours = rotations[known][:, None] @ rotations[known].mT
     true = draw.rotations[0, known][:, None] @ draw.rotations[0, known].mT
     cosines = (np.trace(ours @ true.mT, axis1=-2, axis2=-1) - 1) / 2
     return float(np.degrees(np.arccos(cosines.clip(-1, 1)).max()))
-
-
-def summary(rows: list[Row]) -> list[dict[str, Any]]:
-    """Shares of the draws that hold each bar, and the worst of them."""
-    static = [row for row in rows if not row.moving]
-    kinds = {
-        "three views or more": [row for row in static if " 2 views" not in row.words],
-        "pairs": [row for row in static if " 2 views" in row.words],
-    }
-    table: list[dict[str, Any]] = []
-    for (name, some), (limit, far) in zip(kinds.items(), ((1.1, 2.0), (1.5, 3.0)), strict=True):
-        unsaid = [row for row in some if not set(row.findings) & set(ABOUT_CAMERAS)]
-        near = [row for row in some if row.ratio <= limit]
-        not_far = [row for row in unsaid if row.ratio <= far]
-        table += [
-            _share(f"{name}: within {limit} x", some, near),
-            _share(f"{name}: not beyond {far} x unsaid", unsaid, not_far),
-            _share(f"{name}: called static", some, [row for row in some if not row.called_moving]),
-        ]
-        scores = np.array([score for row in some for score in row.focal_scores])
-        if len(scores):
-            worst = max(some, key=lambda row: max(row.focal_scores, default=0))
-            table.append(
-                {
-                    "what": f"{name}: focal lengths, RMS of z",
-                    "share": f"{np.sqrt(np.mean(scores**2)):.2f}",
-                    "worst": f"largest {scores.max():.1f} ({worst.number})",
-                }
-            )
-    moving = [row for row in rows if row.moving]
-    sure = [row for row in rows if row.certainty > 0.99]
-    table += [
-        _share("moving: called moving", moving, [row for row in moving if row.called_moving]),
-        _share(
-            "certain of the hand: not mirrored", sure, [row for row in sure if not row.mirrored]
-        ),
-    ]
-    inferred = [row for row in rows if np.isfinite(row.inferred[0])]
-    table += [
-        _share(
-            "seen by one view: median within 25 %, 95th percentile within 80 %",
-            inferred,
-            [row for row in inferred if row.inferred[0] <= 0.25 and row.inferred[1] <= 0.8],
-        ),
-        _share("reprojections within 20 image sides", rows, [r for r in rows if not r.reach > 20]),
-    ]
-    seconds = [row.seconds for row in rows]
-    if seconds:
-        median, most = np.median(seconds), max(seconds)
-        table.append({"what": "seconds", "share": f"{median:.1f}", "worst": f"most {most:.1f}"})
-    return table
-
-
-def _share(what: str, rows: list[Row], good: list[Row]) -> dict[str, Any]:
-    """Return the share of rows that are good, and the worst of the others."""
-    bad = sorted((row for row in rows if row not in good), key=lambda row: -row.ratio)
-    worst = ", ".join(f"{row.number} ({row.ratio:.2g})" for row in bad[:12])
-    return {"what": what, "share": f"{len(good)} of {len(rows)}", "worst": worst}
-
-
-def _line(row: Row) -> str:
-    def figures() -> Iterator[str]:
-        yield f"{row.number} | x{row.ratio:.2f}"
-        yield f"error {100 * row.error:.3g} % (true cameras {100 * row.bound:.3g})"
-        if np.isfinite(row.oracle):
-            yield f"oracle x{max(row.oracle - SLACK, 0) / max(row.bound, 1e-9):.2f}"
-        yield f"focal {100 * row.focal_error:.2g} % z {max(row.focal_scores, default=0):.1f}"
-        yield f"turn {row.turn:.2g} deg"
-        yield f"{'MIRRORED ' if row.mirrored else ''}sure {row.certainty:.3f}"
-        if np.isfinite(row.inferred[0]):
-            yield f"one view {100 * row.inferred[0]:.2g}, {100 * row.inferred[1]:.2g} %"
-        if row.reach > 1:
-            yield f"reach {row.reach:.2g}"
-        if row.moving != row.called_moving:
-            yield "CALLED MOVING" if row.called_moving else "CALLED STATIC"
-        yield f"{row.seconds:.1f} s"
-        yield row.words
-        yield ", ".join(row.findings)
-
-    return " | ".join(figures())
 
 
 if __name__ == "__main__":
