@@ -1,8 +1,9 @@
 """How files of 2D keypoints are to be read: what `fewview.read` and all commands take."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from typing import Any, Literal, TypeVar
 
 from fewview.errors import FormatError
@@ -12,6 +13,8 @@ Person = int | str
 Size = tuple[int, int]
 Sizes = Size | Sequence[Size | None] | Mapping[str, Size] | str
 Value = TypeVar("Value")
+_PAIR = re.compile(r"([-+.\d]+)\s*,\s*([-+.\d]+)(?=\s*(?:,|$))")
+FURTHEST = 1e6  # pixels: a corner lies in an image
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,12 @@ class ReadingOptions:
         "down", as in images; "up" if y counts from the lower edge.
     mirror
         Names of the views whose images are mirrored; text with commas is a list.
+    offset
+        (x, y) of the corner of a crop in the whole image, from which a view's keypoints count:
+        text such as "cam2=560,180", or "560,180" for all.
+    offset_seconds
+        By how much views show every moment later than the others, negative if earlier: text such
+        as "cam2=4.2".
 
     Raises
     ------
@@ -70,6 +79,8 @@ class ReadingOptions:
     trial: str | None = None
     y: Literal["down", "up"] = "down"
     mirror: Sequence[str] | str | None = None
+    offset: str | None = None
+    offset_seconds: str | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
@@ -82,6 +93,8 @@ class ReadingOptions:
             raise FormatError(f"{self.y!r} is neither 'down' nor 'up'", option="y")
         self.sizes([""])
         self.rates([""])
+        self.corners([""])
+        self.delays([""])
 
     def sizes(self, views: Sequence[str]) -> list[Size | None]:
         """Return the image size of each view, None where it was not given.
@@ -122,6 +135,32 @@ class ReadingOptions:
         if self.fps is None:
             return [None] * len(views)
         return _of_views(str(self.fps), views, _rate, "fps")
+
+    def corners(self, views: Sequence[str]) -> list[tuple[float, float] | None]:
+        """Return (x, y) from which each view's keypoints count, None where it was not given.
+
+        Raises
+        ------
+        FormatError
+            If one cannot be, or names no view.
+        """
+        if self.offset is None:
+            return [None] * len(views)
+        # A pair is one value: what separates its numbers is not what separates views.
+        text = _PAIR.sub(r"\1x\2", self.offset)
+        return _of_views(text, views, _corner, "offset")
+
+    def delays(self, views: Sequence[str]) -> list[float | None]:
+        """Return by how many seconds each view is late, None where it was not given.
+
+        Raises
+        ------
+        FormatError
+            If one is no number, or names no view.
+        """
+        if self.offset_seconds is None:
+            return [None] * len(views)
+        return _of_views(self.offset_seconds, views, _seconds, "offset_seconds")
 
     def named(self, option: Literal["cameras", "mirror"], views: Sequence[str]) -> list[int] | None:
         """Return the indices of the views that an option names; None if it was not given.
@@ -190,3 +229,32 @@ def _rate(text: str, option: str) -> float:
             option=option,
         )
     return rate
+
+
+def _corner(text: str, option: str) -> tuple[float, float]:
+    x, _, y = text.partition("x")
+    try:
+        corner = float(x), float(y)
+    except ValueError:
+        corner = inf, inf
+    if not all(abs(number) <= FURTHEST for number in corner):
+        raise FormatError(
+            f"{text.replace('x', ',')!r}: expected X,Y in pixels, such as 560,180, or of each "
+            "camera, such as cam1=560,180,cam2=0,90",
+            option=option,
+        )
+    return corner
+
+
+def _seconds(text: str, option: str) -> float:
+    try:
+        late = float(text)
+    except ValueError:
+        late = inf
+    if not isfinite(late):
+        raise FormatError(
+            f"{text!r} is no number of seconds: expected one of each camera, such as "
+            "cam1=4.2,cam2=-0.5",
+            option=option,
+        )
+    return late

@@ -89,6 +89,18 @@ class DetectorReading(BaseModel):
         max_length=LONGEST_TEXT,
         description="Of `files`: which views show mirror images, such as `cam2`.",
     )
+    offset: str = Field(
+        "",
+        max_length=LONGEST_TEXT,
+        description="Of `files`: the corner of a crop in the whole image, from which keypoints"
+        " count, such as `cam2=560,180`, or `560,180` of all views.",
+    )
+    offset_seconds: str = Field(
+        "",
+        max_length=LONGEST_TEXT,
+        description="Of `files`: by how much views show every moment later than the others, such"
+        " as `cam2=4.2`; negative where earlier. Files without times need `fps`.",
+    )
     skeleton_name: str = Field(
         "", description=f"Of `files`: names the keypoints: {', '.join(NAMED)}."
     )
@@ -178,6 +190,8 @@ def read_files(
             trial=form.trial or None,
             y=form.y,
             mirror=form.mirror or None,
+            offset=form.offset or None,
+            offset_seconds=form.offset_seconds or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
             found = read_apart(

@@ -149,9 +149,10 @@ def test_jobs_are_queued_and_cancelled(served: Served) -> None:
 def test_a_fit_is_given_what_was_measured(served: Served) -> None:
     measured = ["--known-length", "3,4,0.41", "--known-distance", "2,0,2.5"]
     words = ["-c", "steps=100000", "--json", f"--url={served.live.url}"]
-    made = said(fewview("fit", served.dataset.id, *measured, *words))
+    made = said(fewview("fit", served.dataset.id, *measured, "--mend=auto", *words))
     assert made["config"]["known_length"] == {"keypoints": [3, 4], "length": 0.41}
     assert made["config"]["known_distance"] == {"views": [2, 0], "length": 2.5}
+    assert made["config"]["mend"] == "auto"
     served.client.fits.cancel(made["id"])
     known = ("fit", served.dataset.id, *words, "--known-distance")
     assert "there is no view 'cam9'" in refused(fewview(*known, "0,cam9,2"), 2)

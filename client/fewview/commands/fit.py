@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -42,6 +42,12 @@ LensOption = Annotated[
         help="`26mm`, `fov:78`, `1460px`, or each view's: `cam1=fov:78,cam2=26mm+-10%`.",
     ),
 ]
+MendOption = Annotated[
+    Literal["off", "auto"] | None,
+    typer.Option(
+        help="`auto`: undo what is wrong with single views' pixels (crops, padding, mirrors ...)."
+    ),
+]
 
 
 def fit(
@@ -60,6 +66,7 @@ def fit(
     known_distance: KnownDistance = None,
     lens: LensOption = None,
     calibration: CalibrationFile = None,
+    mend: MendOption = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
     from_model: Annotated[str | None, typer.Option(help="A model to start from: mdl_...")] = None,
     tag: Tags = None,
@@ -71,7 +78,7 @@ def fit(
     from fewview.calibration import read_for_views  # noqa: PLC0415 (commands load what they need)
 
     with talking(url) as client:
-        fields = config_in(config or [], known_length)
+        fields = config_in(config or [], known_length, mend)
         if lens is not None or known_distance is not None:
             of = client.datasets.get(dataset)
             fields |= of_views(lens, known_distance, of.view_names, of.views)
@@ -95,20 +102,23 @@ def fit(
             return
         with FitProgressBar(quiet=as_json) as bar:
             done = client.fits.wait(made, on_progress=bar.show)
-        for line in findings_in(done.raw):
+        names = client.datasets.get(dataset).view_names if done.findings else None
+        for line in findings_in(done.raw, names):
             echo(line, err=True)
         say(done.raw, str(done.model_id), as_json=as_json)
 
 
-def config_in(texts: list[str], known_length: str | None) -> dict[str, Any]:
-    """Return the fit's configuration, with the known length in it.
+def config_in(
+    texts: list[str], known_length: str | None, mend: str | None = None
+) -> dict[str, Any]:
+    """Return the fit's configuration, with the known length and what is to be undone in it.
 
     Raises
     ------
     ValueError
         If one of them cannot be read; the message names it and the expected form.
     """
-    config = fields_in(texts, "--config")
+    config = fields_in(texts, "--config") | ({} if mend is None else {"mend": mend})
     if known_length is not None:
         form = "FIRST,SECOND,METRES, such as left_hip,left_knee,0.41"
         *ends, length = _measured(known_length, "--known-length", form)

@@ -66,6 +66,14 @@ OPTIONS: dict[str, Any] = {
     "mirror": Annotated[
         str | None, typer.Option(help="Which views show mirror images, such as `cam2`.")
     ],
+    "offset": Annotated[
+        str | None,
+        typer.Option(help="The corner of a crop that keypoints count from: `cam2=560,180`."),
+    ],
+    "offset_seconds": Annotated[
+        str | None,
+        typer.Option(help="How much later views show every moment: `cam2=4.2`; earlier: `-4.2`."),
+    ],
 }
 
 

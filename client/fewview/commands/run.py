@@ -27,6 +27,7 @@ from fewview.commands.fit import (
     KnownDistance,
     KnownLength,
     LensOption,
+    MendOption,
     config_in,
     of_views,
 )
@@ -56,6 +57,7 @@ def run(
     known_distance: KnownDistance = None,
     lens: LensOption = None,
     calibration: CalibrationFile = None,
+    mend: MendOption = None,
     no_calibration: Annotated[
         bool, typer.Option("--no-calibration", help="Leave a calibration among the files alone.")
     ] = False,
@@ -76,7 +78,7 @@ def run(
     try:
         sizes = None if calibration is None else partial(sizes_for, calibration)
         capture = read_with(files, options(), sizes)
-        fields = config_in(config or [], known_length)
+        fields = config_in(config or [], known_length, mend)
         if known_length is not None:
             _check_keypoints(fields["known_length"]["keypoints"], capture)
         fields |= of_views(lens, known_distance, capture.view_names, capture.views)

@@ -18,6 +18,7 @@ from fewview.capture import Capture, Float64
 from fewview.client import Client
 from fewview.errors import FewviewError, JobFailed, NotFound
 from fewview.height import scaled_to
+from fewview.mended import mended_in_words
 from fewview.products import animation_of, room_of
 from fewview.room import Room
 from fewview.writers import write
@@ -154,6 +155,8 @@ def export(
     lift = client.fits.reconstruction(fit)
     found = client.models.cameras(fit.model_id)
     room, notes = room_of(lift, found, capture)
+    mended = [mended_in_words(asdict(finding), capture.view_names) for finding in fit.findings]
+    notes += [words for words in mended if words is not None]
     unit, doubted = _unit_used(fit, unit, height)
     notes += doubted
     if height is not None:

@@ -133,12 +133,19 @@ def table(rows: Sequence[Sequence[str]]) -> str:
     )
 
 
-def findings_in(result: Mapping[str, Any]) -> Iterator[str]:
+def findings_in(
+    result: Mapping[str, Any], view_names: Sequence[str] | None = None
+) -> Iterator[str]:
     """Give a line for each thing that was noticed, after one on what may be relied on."""
+    from fewview.mended import mended_in_words  # noqa: PLC0415 (commands load what they need)
+
     verdict = result.get("verdict")
     if verdict:
         yield f"{verdict['level']}: {verdict['reliable']}"
         if verdict.get("expected"):
             yield verdict["expected"]
     for finding in result.get("findings", ()):
+        mended = mended_in_words(finding, view_names)
+        if mended is not None:
+            yield mended
         yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"

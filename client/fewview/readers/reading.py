@@ -18,9 +18,9 @@ from fewview.readers.large_arrays import blocks
 from fewview.readers.names import distinct_parts
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
-from fewview.readers.sides import doubts_of_sides, put_right
+from fewview.readers.sides import counted_from, doubts_of_sides, put_right
 from fewview.readers.thumbnails import people_of
-from fewview.readers.timing import with_rates
+from fewview.readers.timing import put_in_step, with_rates
 from fewview.readers.videos import with_video
 from fewview.readers.views import View, unseen
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
@@ -45,6 +45,8 @@ def read(
     trial: str | None = None,
     y: Literal["down", "up"] = "down",
     mirror: Sequence[str] | str | None = None,
+    offset: str | None = None,
+    offset_seconds: str | None = None,
 ) -> Capture:
     """Read the 2D keypoints of all cameras.
 
@@ -85,6 +87,12 @@ def read(
         "up" if y counts from the lower edge of the image.
     mirror
         Names of the views whose images are mirrored, left and right.
+    offset
+        Where in the whole image the corner lies from which a view's keypoints count, if they were
+        found in a crop: "cam2=560,180", or "560,180" of all.
+    offset_seconds
+        By how much views show every moment later than the others: "cam2=4.2", negative if earlier.
+        Frames are then joined by times, so files without times need `fps`.
 
     Returns
     -------
@@ -111,6 +119,8 @@ def read(
         trial=trial,
         y=y,
         mirror=mirror,
+        offset=offset,
+        offset_seconds=offset_seconds,
     )
     return read_with(paths, options)
 
@@ -154,11 +164,16 @@ def read_with(
         one, more = cleaned(view, options.min_confidence)
         clean.append(one)
         notes += more
+    clean = counted_from(clean, options.corners(names), notes)
+    delays, align = options.delays(names), options.align
+    if any(delays):
+        clean = put_in_step(clean, delays, notes)
+        align = "time" if align == "auto" else align
     picked, more = pick(clean, options.person)
     called = named(picked, options.skeleton, more)
     people = people_of(clean, picked, called, options.y) if with_people else None
     picked = put_right(called, options.y, options.named("mirror", names) or [], more)
-    capture = combined(picked, align=options.align, one_file=one_file)
+    capture = combined(picked, align=align, one_file=one_file)
     return replace(
         capture,
         notes=(*notes, *more, *capture.notes, *doubts_of_sides(capture)),

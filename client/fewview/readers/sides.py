@@ -27,6 +27,19 @@ TURNING = 0.06  # of the visible height: a person who never turns does not deter
 FEWEST = 20  # frames that must show what an image is judged by
 
 
+def counted_from(
+    views: Sequence[View], corners: Sequence[tuple[float, float] | None], notes: list[str]
+) -> list[View]:
+    """Return the views with pixels of the whole image, where they count from a crop's corner."""
+    for view, corner in zip(views, corners, strict=True):
+        if corner is None or corner == (0, 0):
+            continue
+        for block in blocks(view.keypoints):  # read for this capture alone: changed in place
+            view.keypoints[block] += np.array(corner, np.float32)
+        notes.append(f"{view.name}: counted from ({corner[0]:g}, {corner[1]:g}); put right")
+    return list(views)
+
+
 def put_right(
     views: list[View], y: Literal["down", "up"], mirrored: Sequence[int], notes: list[str]
 ) -> list[View]:

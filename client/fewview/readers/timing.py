@@ -184,22 +184,7 @@ def _own_times(views: list[View], rows: Int64, notes: list[str]) -> Float64 | No
 
 def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> Together:
     """Align to the times of the view with most frames: each takes what is nearest, within half."""
-    clocks: list[Float64] = []
-    first = {int(view.numbers[0]) for view in views}
-    # Frames are counted from 0, from 1, or from a number of all; else these are parts of films.
-    begin = min(first) if min(first) == 1 or len(first) == 1 else 0
-    for view, rate in zip(views, rates, strict=True):
-        if view.times is not None:
-            clocks.append(view.times)
-        elif rate:
-            clocks.append((view.numbers - begin) / rate)
-        else:
-            raise FormatError(
-                "has no times to align by",
-                place=view.name,
-                option="fps",
-                remedy="RATE",
-            )
+    clocks = _clocks(views, rates)
     if any(np.any(np.diff(clock) <= 0) for clock in clocks):
         raise FormatError("times must rise from frame to frame to align by them", option="align")
     reference = max(clocks, key=len)
@@ -218,6 +203,49 @@ def _by_time(views: list[View], rates: list[float | None], notes: list[str]) -> 
     if not (rows >= 0).any(0).all():
         raise FormatError("the cameras' times do not overlap", option="align", remedy="index")
     return Together(rows, np.arange(len(reference)), reference - reference[0], None)
+
+
+def _clocks(views: Sequence[View], rates: Sequence[float | None]) -> list[Float64]:
+    """Return the times of each view's frames; raise FormatError if one has neither times nor rate.
+
+    Frames are counted from 0, from 1, or from a number of all; else these are parts of films.
+    """
+    clocks: list[Float64] = []
+    first = {int(view.numbers[0]) for view in views}
+    begin = min(first) if min(first) == 1 or len(first) == 1 else 0
+    for view, rate in zip(views, rates, strict=True):
+        if view.times is not None:
+            clocks.append(view.times)
+        elif rate:
+            clocks.append((view.numbers - begin) / rate)
+        else:
+            raise FormatError(
+                "has no times to align by",
+                place=view.name,
+                option="fps",
+                remedy="RATE",
+            )
+    return clocks
+
+
+def put_in_step(
+    views: Sequence[View], delays: Sequence[float | None], notes: list[str]
+) -> list[View]:
+    """Return views with times of one clock: each view's, less the seconds that it is late.
+
+    Raises
+    ------
+    FormatError
+        If a view has neither times nor a rate.
+    """
+    out = []
+    clocks = _clocks(views, [_rate(view) for view in views])
+    for view, clock, late in zip(views, clocks, delays, strict=True):
+        if late:
+            when = "later" if late > 0 else "earlier"
+            notes.append(f"{view.name}: shows moments {abs(late):g} s {when}; put in step")
+        out.append(replace(view, times=np.asarray(clock - (late or 0.0), np.float64)))
+    return out
 
 
 def with_rates(views: Sequence[View], rates: Sequence[float | None]) -> list[View]:

@@ -35,6 +35,7 @@ export function FindingList({ findings, calm = false, ...known }: { findings: Fi
           <Icon name={finding.severity === "warning" ? "warning" : "info"} />
           <div>
             <strong>{words(finding.code)}</strong>
+            {finding.evidence?.applied === 1 && <span class="chip">put right</span>}
             <Where finding={finding} {...known} />
             <p>{withCode(finding.effect)}</p>
             {finding.remedy !== "" && <p class="remedy">{withCode(finding.remedy)}</p>}

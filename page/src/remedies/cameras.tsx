@@ -21,14 +21,14 @@ const KINDS = [
   ["false", "unlike: of several models, or at several zooms"],
 ] as const;
 
-const MENDS = [
-  ["off", "as they are: it is only reported"],
-  ["auto", "mended: what was found is undone, and in lifts of the model, too"],
-] as const;
-
 export function MendControl() {
-  const before = useSubject().fit?.config?.mend ?? "off";
-  return <OneOf label="Pixels of each view" choices={MENDS} before={before} changeTo={(mend) => ({ mend })} />;
+  const undone = useSubject().fit?.config?.mend === "auto";
+  return (
+    <FitAgain
+      words={undone ? "Fit again with the pixels as they are" : "Undo it, and fit again"}
+      change={{ mend: undone ? "off" : "auto" }}
+    />
+  );
 }
 
 export function ArrangementControl() {

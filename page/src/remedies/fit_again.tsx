@@ -14,8 +14,12 @@ export function fitLike(fit: Fit, change: Record<string, unknown>): Promise<Fit>
   return createFit({ dataset_id, name, tags, config: { ...config, ...change }, ...(from_model && { from_model }) });
 }
 
-/** @param change of the configuration; null as long as it is not complete */
-export function FitAgain({ change }: { change: Record<string, unknown> | null }) {
+interface FitAgainProps {
+  change: Record<string, unknown> | null; // of the configuration; null as long as it is not complete
+  words?: string; // on the button
+}
+
+export function FitAgain({ change, words = "Fit again with it" }: FitAgainProps) {
   const { fit } = useSubject();
   const { busy, trouble, attempt } = useAttempt();
   if (fit === null) return null;
@@ -25,7 +29,7 @@ export function FitAgain({ change }: { change: Record<string, unknown> | null })
       <Alert>{trouble}</Alert>
       <div class="buttons">
         <button class="primary" disabled={busy || change === null} onClick={go}>
-          Fit again with it
+          {words}
         </button>
         <span class="quiet">All else stays as it is. This fit stays, too.</span>
       </div>

@@ -24,11 +24,15 @@ export function Controls({ fields }: { fields: readonly RemedyField[] }) {
       {fields
         .map((field) => REMEDIES[field])
         .filter(({ suits }) => suits(subject))
-        .map(({ words, Control }) => (
-          <Folded key={words} words={words}>
-            <Control />
-          </Folded>
-        ))}
+        .map(({ words, Control, direct = false }) =>
+          direct ? (
+            <Control key={words} />
+          ) : (
+            <Folded key={words} words={words}>
+              <Control />
+            </Folded>
+          ),
+        )}
     </>
   );
 }

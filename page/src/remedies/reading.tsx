@@ -33,6 +33,8 @@ export const READING: Record<string, Option> = {
     choices: { "": "down, as in images", up: "up" },
   },
   mirror: { label: "Mirrored views", hint: "which views show mirror images, such as cam2" },
+  offset: { label: "Corner of a crop", hint: "in the whole image, from which keypoints count, such as cam2=560,180" },
+  offset_seconds: { label: "Late by, in seconds", hint: "each view against the others, such as cam2=4.2" },
 };
 
 /** Returns the options that a link to the form has given. */

@@ -15,6 +15,7 @@ export type RemedyField = NonNullable<Finding["remedy_fields"]>[number];
 interface Remedy {
   words: string; // on what opens the control
   Control: FunctionComponent;
+  direct?: boolean; // whether it is one button, which need not be opened
   suits: (subject: Subject) => boolean; // whether it can be taken there
 }
 
@@ -25,7 +26,7 @@ export const REMEDIES: Record<RemedyField, Remedy> = {
   fps: { words: "Give the frame rate", Control: RateControl, suits: always },
   image_sizes: { words: "Give the image sizes", Control: SizesControl, suits: always },
   mirror: { words: "Have mirrored views read so", Control: MirrorControl, suits: always },
-  mend: { words: "Have it undone", Control: MendControl, suits: ofFit },
+  mend: { words: "Have it undone", Control: MendControl, direct: true, suits: ofFit },
   cameras: { words: "Choose whether cameras move", Control: ArrangementControl, suits: ofFit },
   cameras_alike: { words: "Choose whether lenses are alike", Control: AlikeControl, suits: ofFit },
   lenses: { words: "Give what is known of the lenses", Control: KnownLensesControl, suits: ofFit },

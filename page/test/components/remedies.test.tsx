@@ -41,7 +41,8 @@ test("each remedy that the service names has a control with something to choose"
   const lifting: Lifting = { frame: "room", refine: null, views: [0, 1] };
   for (const field of FIELDS) {
     const { place } = await shown(field, subject({ fit, model: "mdl_1", lifting }));
-    assert.ok(place.querySelector(".remedy-control :is(select, input)"), field);
+    const control = REMEDIES[field].direct ? "button" : ".remedy-control :is(select, input)";
+    assert.ok(place.querySelector(control), field);
   }
 });
 
@@ -81,6 +82,23 @@ test("a fit is made again with lenses that are alike", async () => {
   await happens(page.getByLabelText("Lenses"), "change", "true");
   await happens(page.getByRole("button", { name: "Fit again with it" }), "click");
   assert.deepEqual(sent, { dataset_id: "ds_1", name: "walk", tags: [], config: { cameras_alike: true } });
+});
+
+test("what was wrong with a view's pixels is undone, or left, with one button", async () => {
+  const sent: unknown[] = [];
+  globalThis.fetch = (_, init) => {
+    sent.push((JSON.parse(init?.body as string) as Fit).config);
+    return Promise.resolve(new Response('{"id": "fit_2"}'));
+  };
+  const asked = { ...fit, config: { mend: "auto", steps: 100 } } as Fit;
+  for (const [about, name] of [
+    [fit, "Undo it, and fit again"],
+    [asked, "Fit again with the pixels as they are"],
+  ] as const) {
+    const page = await shown("mend", subject({ fit: about }));
+    await happens(page.getByRole("button", { name }), "click");
+  }
+  assert.deepEqual(sent, [{ mend: "auto" }, { mend: "off", steps: 100 }]);
 });
 
 test("files of mirrored views are chosen again, with the option", async () => {

@@ -129,6 +129,8 @@ def test_reading_options_are_in_the_form(api: TestClient, tables: Parts) -> None
         ("person", "0,0,0"),
         ("cameras", "left,behind"),
         ("mirror", "behind"),
+        ("offset", "behind=560,180"),
+        ("offset_seconds", "left=soon"),
         ("trial", "walk2"),
         ("table_columns", "x={}_u,y={}_v"),
         ("align", "time"),  # without times
