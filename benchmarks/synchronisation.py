@@ -22,7 +22,7 @@ from benchmarks.figures import Bar, Results, Row, command
 from models.capture.metrics import pa_mpjpe
 from models.epipolar.synchronisation import find_timing, reach_at
 from models.numerics.threads import use_threads
-from models.settings.config import Correction, FitConfig
+from models.settings.config import Automatic, FitConfig
 from models.training.synchronising import put_in_step
 from models.training.trainer import fit
 
@@ -173,7 +173,7 @@ def error_of(
     keypoints: NDArray[np.floating],
     times: Float64,
     arguments: argparse.Namespace,
-    synchronise: Correction,
+    synchronise: Automatic,
 ) -> float:
     """Fit keypoints and return the mean PA-MPJPE over all frames."""
     config = FitConfig(synchronise=synchronise)

@@ -32,7 +32,7 @@ from models.settings.priors import (
 
 Refine = TypeAliasType("Refine", Literal["auto", "off", "full"])
 Arrangement = TypeAliasType("Arrangement", Literal["auto", "moving", "static"])
-Correction = TypeAliasType("Correction", Literal["auto", "off"])  # of keypoints, before a fit
+Automatic = TypeAliasType("Automatic", Literal["auto", "off"])  # of keypoints, before a fit
 Index = Annotated[int, Field(ge=0)]
 
 LEARNING_RATES = ", ".join(
@@ -145,7 +145,7 @@ class FitConfig(BaseModel):
             " and their lengths are constant in the capture."
         ),
     )
-    synchronise: Correction = Field(
+    synchronise: Automatic = Field(
         default="auto",
         description=(
             "`auto`: views that show every moment later than the others are found. They are shifted"
@@ -153,7 +153,7 @@ class FitConfig(BaseModel):
             " used as they are, except for `times` that differ between views."
         ),
     )
-    mend: Correction = Field(
+    mend: Automatic = Field(
         default="off",
         description=(
             "Views whose pixels are not what they seem (cropped, padded, scaled, stretched,"

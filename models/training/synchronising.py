@@ -11,7 +11,7 @@ from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_
 from models.findings.advice import attempt
 from models.findings.catalogue import Severity
 from models.findings.finding import Finding
-from models.settings.config import Correction
+from models.settings.config import Automatic
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -34,7 +34,7 @@ def put_in_step(
     keypoints: Float32,
     confidence: Float32 | None,
     times: Float64 | None,
-    synchronise: Correction,
+    synchronise: Automatic,
 ) -> InStep:
     """Read late views (of keypoints (N, K, P, 2)) later, so that every frame is one moment.
 
