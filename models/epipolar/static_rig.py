@@ -48,7 +48,8 @@ UNBIASED = 40.0
 OUT_OF_LINE = 3.0  # times the noise that views share: a view beyond it is not static with them
 MOVES = 0.03  # of the subject's size in the image: a camera whose motion shifts it less is static
 MOVES_OF_TWO = 0.15  # the same of two views, where errors that repeat look like motion
-SURE = 3.0  # standard errors by which it must shift it
+ACCOUNTED = 0.02  # of the subject's size: share of the residuals that is motion, for it to matter
+SURE = 3.0  # standard errors by which a pose of its own must predict keypoints better
 
 
 class StaticScene(NamedTuple):
@@ -145,11 +146,11 @@ def find_static_rig(
             return found
         out = None if declared else _out_of_line(chosen.noise_alone, sizes[members])
         if out is None:
-            result = _result(chosen, images, weights, beliefs, members)
-            least = MOVES if len(members) > 2 else MOVES_OF_TWO
-            out = _most_moving(result.motion, least * sizes[members], sizes[members])
+            result = _result(chosen, images, weights, beliefs, sizes, members)
+            out = _most_moving(result.motion, chosen.adjusted.noise, sizes[members])
             if out is None or declared:
                 return found._replace(rig=result)
+            found = found._replace(moves=True)
         members = [view for place, view in enumerate(members) if place != out]
     return found
 
@@ -202,12 +203,19 @@ def _adjusted(
     return _Chosen(best, twin, alone, certainty_of(best, many, of_members, clusters))
 
 
-def _most_moving(motion: CameraMotion, least: Float64, sizes: Float64) -> int | None:
-    """Return the camera that moves most, if it shifts the subject by `least` (K,) or more."""
-    moves = (motion.squares > np.square(least)) & (motion.squares > SURE * motion.errors)
+def _most_moving(motion: CameraMotion, noise: Float64, sizes: Float64) -> int | None:
+    """Return the camera whose own poses predict keypoints best; None if no camera moves.
+
+    The motion must matter: it shifts the subject by a share of its size (K,), or accounts for a
+    share of the residuals of static cameras, which have the `noise` (K,).
+    """
+    least = MOVES if len(sizes) > 2 else MOVES_OF_TWO
+    matters = motion.squares > np.square(least * sizes)
+    matters |= 2 * motion.gains * np.square(noise) > np.square(ACCOUNTED * sizes)
+    moves = (motion.gains > SURE * motion.errors) & matters
     if not moves.any():
         return None
-    return int(np.where(moves, motion.squares / np.square(sizes), 0.0).argmax())
+    return int(np.where(moves, motion.gains, 0.0).argmax())
 
 
 def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
@@ -220,7 +228,12 @@ def _out_of_line(alone: Float64, sizes: Float64) -> int | None:
 
 
 def _result(
-    chosen: _Chosen, images: Float64, weights: Float64, beliefs: Beliefs, members: list[int]
+    chosen: _Chosen,
+    images: Float64,
+    weights: Float64,
+    beliefs: Beliefs,
+    sizes: Float64,
+    members: list[int],
 ) -> StaticRig:
     """Triangulate every frame in both handednesses, and compute the log odds of each frame."""
     frames, views, keypoints, _ = images.shape
@@ -255,6 +268,7 @@ def _result(
         SeenPoints(some.images[..., asked], some.weights[:, asked]),
         noise,
         of_frames[asked],
+        sizes[members],
     )
     return StaticRig(
         best,

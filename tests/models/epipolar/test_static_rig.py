@@ -116,8 +116,7 @@ def test_motion_beyond_noise_is_seen() -> None:
     """Cameras that shake are distinguished from static ones with noisy keypoints."""
     static = found_in(make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=6.0))
     assert static is not None
-    squares, errors = static.motion
-    assert (squares < 3 * errors).all()
+    assert (static.motion.gains < 0).all()
     shaken = make_rig_capture([0.0, 80.0, -120.0], frames=60, noise=1.0)
     rng = np.random.default_rng(3)
     shaken.keypoints[...] += 15 * rng.standard_normal((60, 3, 1, 2))  # each image as a whole
