@@ -34,7 +34,7 @@ export function FindingList({ findings, calm = false, ...known }: { findings: Fi
         <li key={index} class={finding.severity}>
           <Icon name={finding.severity === "warning" ? "warning" : "info"} />
           <div>
-            <strong>{words(finding.code)}</strong>
+            <strong>{words(finding.code)}</strong>{" "}
             {finding.evidence?.applied === 1 && <span class="chip">put right</span>}
             <Where finding={finding} {...known} />
             <p>{withCode(finding.effect)}</p>
