@@ -26,6 +26,11 @@ WORDS: dict[str, Callable[[Numbers], str]] = {
 }
 
 
+def put_right(finding: Mapping[str, Any]) -> bool:
+    """Whether a finding is of such a cause, and the fit has undone it."""
+    return finding["code"] in WORDS and bool((finding.get("evidence") or {}).get("applied"))
+
+
 def mended_in_words(finding: Mapping[str, Any], names: Sequence[str] | None = None) -> str | None:
     """Return what was wrong with a view, and whether the fit undid it; None if it is no such cause.
 
@@ -39,5 +44,5 @@ def mended_in_words(finding: Mapping[str, Any], names: Sequence[str] | None = No
         names[view] if names and view < len(names) else f"view{view}"
         for view in finding.get("views") or ()
     ]
-    done = "put right" if numbers.get("applied") else "not undone"
+    done = "put right" if put_right(finding) else "not undone"
     return f"{', '.join(views)}: {words(numbers)}; {done}"

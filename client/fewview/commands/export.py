@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from fewview.commands.talking import AsJson, Url, say, talking
+from fewview.mended import put_right
 
 USUAL = "trc,csv,glb,npz"
 LengthUnit = Annotated[
@@ -101,6 +102,8 @@ def in_words(result: dict[str, Any]) -> str:
         lines.append(f"{result['verdict']['level']:<10} {result['verdict']['reliable']}")
         lines += [f"           {words}" for words in [result["verdict"]["expected"]] if words]
     for finding in result["findings"]:
+        if put_right(finding):  # a note has it
+            continue
         lines.append(
             f"{finding['severity']:<10} {finding['code']}{_where(finding)}: {finding['effect']}"
         )

@@ -137,7 +137,7 @@ def findings_in(
     result: Mapping[str, Any], view_names: Sequence[str] | None = None
 ) -> Iterator[str]:
     """Give a line for each thing that was noticed, after one on what may be relied on."""
-    from fewview.mended import mended_in_words  # noqa: PLC0415 (commands load what they need)
+    from fewview.mended import mended_in_words, put_right  # noqa: PLC0415 (commands load what they need)
 
     verdict = result.get("verdict")
     if verdict:
@@ -148,4 +148,6 @@ def findings_in(
         mended = mended_in_words(finding, view_names)
         if mended is not None:
             yield mended
+        if put_right(finding):  # nothing is left to do
+            continue
         yield f"{finding['severity']}: {finding['code']}. {finding['effect']} {finding['remedy']}"
