@@ -26,6 +26,7 @@ LEAST_VIEWS = 3
 WORTH, ODD_LENSES, ODD_LENS = 8.0, 2.0, 1.0
 NAMED, CLEARLY = 10.0, 6.0  # nats for a cause to be named, and beyond those of other views
 FINALISTS = 8  # of hypotheses that were tried roughly
+PROMISING = 2.0  # nats that one must gain there
 TURNED = 30.0  # degrees from a quarter turn
 
 
@@ -73,7 +74,7 @@ def _one(
         return None, trial
     many = sightings(problem, rig.best.rig, rig.noise, MANY)
     known = many.tried(usual, [trial.fit.rig, start])
-    found = yield from _best(problem, few, many, known, left)
+    found = yield from _best(problem, few, many, known, trial, left)
     return (None, trial) if found is None else (_cause(problem, many, found), found.trial)
 
 
@@ -110,9 +111,17 @@ def _is_odd(few: Sightings, trial: Trial) -> Steps[bool]:
 
 
 def _best(
-    problem: CalibrationProblem, few: Sightings, many: Sightings, known: Trial, left: list[int]
+    problem: CalibrationProblem,
+    few: Sightings,
+    many: Sightings,
+    known: Trial,
+    roughly: Trial,
+    left: list[int],
 ) -> Steps[_Found | None]:
-    """Return the cause of one of the views `left` that explains the keypoints best, if any does."""
+    """Return the cause of one of the views `left` that explains the keypoints best, if any does.
+
+    `known` and `roughly` are trials of what is supposed so far, with many and few points.
+    """
     rough: dict[tuple[int, str], Trial] = {}
     for view in left:
         for kind, hypothesis in rough_ones(image_of(problem, view), view, known.hypothesis):
@@ -128,6 +137,8 @@ def _best(
     found: list[_Found] = []
     finalists = sorted(rough.items(), key=lambda item: item[1].whole)[:FINALISTS]
     for (view, _), trial in finalists:
+        if roughly.whole - trial.whole < PROMISING:
+            break
         flipped = trial.hypothesis.flips != known.hypothesis.flips
         lens, image = trial.fit.rig.lenses[view], image_of(problem, view)
         for candidate in candidates(image, view, known.hypothesis, lens, flipped=flipped):

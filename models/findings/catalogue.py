@@ -255,7 +255,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
     "lenses_extreme": Entry(
         "warning",
         "The lenses that explain the keypoints best are unlike real ones: the keypoints or what was"
-        " given of the cameras is probably wrong.",
+        " given of the cameras is probably wrong. No fault of one view's pixels was found to"
+        " explain it.",
         "Look at the other findings, give the image sizes, what is known of the lenses (`lenses`)"
         " or a calibration, or set `cameras_alike: false` if the lenses differ.",
     ),
