@@ -18,18 +18,16 @@ from numpy.typing import NDArray
 
 from models.capture.tracks import (
     HALF_WIDTHS,
+    Motion,
     Track,
     choose_half_width,
     make_track,
     masked_median,
     motion_at,
 )
-from models.epipolar.fundamental import (
-    LEAST_POINTS,
-    fit_fundamentals,
-    robust_costs,
-    sampson_distances,
-)
+from models.epipolar.coarse_offsets import Coarse, search
+from models.epipolar.held_out_offsets import Offsets
+from models.epipolar.offset_judgement import judge
 from models.epipolar.offset_refinement import (
     FLOOR,
     MOST_BLOCKS,
@@ -43,9 +41,6 @@ from models.epipolar.offset_refinement import (
 Float64 = NDArray[np.float64]
 Int = NDArray[np.int64]
 
-REACH = 12  # frames that a view may be late or early if the frame rate is unknown
-REACH_SECONDS = 1.0
-MOST_REACH = 60  # frames
 LEAST_FRAMES = 30  # with fewer nothing is estimated
 MOST_FRAMES = 1500  # that are used, in windows of consecutive ones
 MOST_PLACES = 200_000  # frames x views x keypoints that are used
@@ -54,14 +49,10 @@ WIDTH_VIEWS = 4  # that the width of the smoothing is chosen from
 LEAST_BLOCKS = 6  # for a standard deviation
 MOST_KEYPOINTS = 32
 MOST_PAIRS = 24
-SEARCH_POINTS = 1800  # of a pair, for whole offsets
-STEPS = 12  # offsets tried on either side at a time
-STARTS = 6  # of the search for whole offsets that suit all pairs
 FILM = 0.7  # of the usual distance between poses: between frames of a film it is less
 # A view is late if its offset is so many frames and standard deviations from 0, and perhaps late
 # if it is so many.
 LATE_FRAMES, LATE_SDS = 0.2, 4.0
-HALVES_FRAMES = 2  # by which the halves of a short capture may differ from the whole
 MOST_SD = 0.5  # frames: with more, the search may not have ended near the true offset
 DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
 # Offsets are those of whole frames more often than not: taken as such within two standard
@@ -70,6 +61,7 @@ WHOLE_SDS, LEAST_WHOLE, MOST_WHOLE = 2.0, 0.02, 0.15
 CHANGE_FRAMES, CHANGE_SDS = 0.5, 6.0  # of a drift or a jump
 CHANGE_BLOCKS = 3  # of frames on either side of a jump
 DRIFT = 0  # in place of the block before which a jump is
+MOST_SHIFT = 2.0  # frames, by a refinement: a jump may lie between
 MOST_NOISE = 0.25  # of a view's radius: beyond it no one geometry explains the frames
 
 
@@ -84,53 +76,85 @@ class Timing(NamedTuple):
     offsets: Float64  # (M, K) in frames; view k shows in its frame n + offset what others do in n
     sds: Float64  # (K,) of the offset that is furthest from 0 in its standard deviations
     late: NDArray[np.bool_]  # (K,) certainly
-    doubtful: NDArray[np.bool_]  # (K,) perhaps
+    unknown: NDArray[np.bool_]  # (K,) whether they are, and by how much, keypoints leave open
 
 
-def find_timing(keypoints: Float64, weights: Float64, *, reach: int = REACH) -> Timing | None:
+def find_timing(keypoints: Float64, weights: Float64) -> Timing | None:
     """Find by how many frames the views of keypoints (N, K, P, 2) are late.
 
     Parameters
     ----------
     weights
         (N, K, P), 0 where not observed.
-    reach
-        Most frames between two views, to either side.
 
     Returns
     -------
     Timing or None
-        None where keypoints are not informative: cameras that move, or too few frames. A view that
-        shows too little is not late, with an infinite standard deviation.
+        None where there are too few frames or keypoints to compare views. A view that shows too
+        little is not late, with an infinite standard deviation.
     """
     views = keypoints.shape[1]
     shown = np.flatnonzero((weights > 0).sum((0, 2)) >= LEAST_FRAMES)
     if len(shown) < views:
-        some = find_timing(keypoints[:, shown], weights[:, shown], reach=reach)
+        some = find_timing(keypoints[:, shown], weights[:, shown])
         return None if some is None else _among_all(some, shown, views)
-    tracked = _track_frames(keypoints, weights, reach)
+    tracked = _track_frames(keypoints, weights)
     if tracked is None:
         return None
-    step = -(-reach // STEPS)
-    whole = _search(tracked, np.zeros(views, np.int64), step)
-    if step > 1:
-        whole = _search(tracked, whole, 1)
-    reference = int(np.argmin(np.abs(whole - np.median(whole))))
-    start = (whole - whole[reference]).astype(np.float64)[:, None]
-    # The search compares offsets on the same frames; from here on, all that views share count.
-    tracked = tracked._replace(frames=_frames_within(tracked.tracks, int(np.abs(start).max())))
-    found = refine_offsets(tracked, start, np.ones((len(tracked.frames), 1)), reference)
-    if found is None or found.noise > MOST_NOISE * tracked.radius:
+    moments = np.arange(len(keypoints), dtype=np.float64)
+    motions = [motion_at(track, moments, tracked.half_width) for track in tracked.tracks]
+    coarse = search(motions, tracked.pairs)
+    if coarse is None:
         return None
-    changing = _find_change(tracked, found, reference)
+    timing = _refined(tracked, coarse)
+    for view in range(views) if views > 2 else (1,):
+        timing = _judged(tracked, timing, view, coarse.rivals(view))
+    return timing
+
+
+def _refined(tracked: TrackedFrames, coarse: Coarse) -> Timing:
+    """Refine whole offsets by the geometry of static cameras, if they are static."""
+    best: Refined | None = None
+    for whole in {tuple(start): start for start in coarse.starts()}.values():
+        start = whole.astype(np.float64)[:, None]
+        reference = int(np.flatnonzero(whole == 0)[0])
+        # The search compares offsets on the same frames; from here on, all that views share count.
+        own = tracked._replace(frames=_frames_within(tracked.tracks, int(np.abs(whole).max())))
+        found = refine_offsets(own, start, np.ones((len(own.frames), 1)), reference)
+        if found is None or found.noise > MOST_NOISE * own.radius:
+            continue
+        if np.abs(found.coefficients - start).max() < MOST_SHIFT and (
+            best is None or found.noise < best.noise
+        ):
+            best, used, fixed = found, own, reference
+    if best is None:
+        late = coarse.offsets != 0
+        none = np.zeros(len(late), np.bool_)
+        return Timing(np.zeros(1), coarse.offsets[None] * 1.0, np.full(len(late), np.inf), late, none)
+    changing = _find_change(used, best, fixed)
     if changing is not None:
         return changing
-    variances = found.covariances[:, 0, 0]
+    variances = best.covariances[:, 0, 0]
     sds = np.sqrt(np.where(variances >= 0, variances, np.inf))  # equal views have no information
-    timing = _decide(np.zeros(1), found.coefficients.T, sds, tracked.blocks)
-    if timing.late.any() and tracked.blocks < MOST_BLOCKS:
-        return _unless_halves_differ(tracked, timing, reference, step)
-    return timing
+    return _decide(np.zeros(1), best.coefficients.T, sds, used.blocks)
+
+
+def _judged(tracked: TrackedFrames, timing: Timing, view: int, rivals: list[int]) -> Timing:
+    """Keep, exchange or doubt the offset of a view."""
+    moments = np.arange(len(tracked.tracks[0].pixels), dtype=np.float64)
+    middle = timing.offsets.mean(0)
+    own = np.interp(moments, timing.frames, timing.offsets[:, view])
+    proposed = Offsets(view, own, middle)
+    judged = judge(tracked, middle, proposed, float(timing.sds[view]), rivals)
+    offsets, late, unknown = timing.offsets.copy(), timing.late.copy(), timing.unknown.copy()
+    sds = timing.sds.copy()
+    late[view], unknown[view] = judged.verdict == "late", judged.verdict == "unknown"
+    sds[view] = judged.sd
+    if judged.verdict == "in step":
+        offsets[:, view] = 0
+    elif judged.offset is not own:
+        offsets[:, view] = judged.offset[0]
+    return Timing(timing.frames, offsets, sds, late, unknown)
 
 
 def _among_all(timing: Timing, shown: Int, views: int) -> Timing:
@@ -147,26 +171,6 @@ def _among_all(timing: Timing, shown: Int, views: int) -> Timing:
     return every
 
 
-def _unless_halves_differ(
-    tracked: TrackedFrames, timing: Timing, reference: int, step: int
-) -> Timing:
-    """Mark views of a short capture as doubtful unless both its halves agree."""
-    agreed = np.ones(len(timing.late), np.bool_)
-    for frames in np.array_split(tracked.frames, 2):
-        whole = _search(tracked._replace(frames=frames), np.zeros(len(agreed), np.int64), step)
-        apart = np.abs(whole - whole[reference] - timing.offsets[0])
-        agreed &= apart <= max(HALVES_FRAMES, step)
-    late = timing.late & agreed
-    return timing._replace(late=late, doubtful=timing.doubtful | (timing.late & ~agreed))
-
-
-def reach_at(fps: float | None) -> int:
-    """Return how many frames to search on either side; the rate is in frames per second."""
-    if fps is None:
-        return REACH
-    return int(np.clip(np.ceil(REACH_SECONDS * fps), REACH, MOST_REACH))
-
-
 def is_film(keypoints: Float64) -> bool:
     """Whether keypoints (N, K, P, 2) follow each other in time: poses change little by little."""
     if len(keypoints) < LEAST_FRAMES:
@@ -179,13 +183,12 @@ def is_film(keypoints: Float64) -> bool:
     return between[0] < FILM * between[1]
 
 
-def _track_frames(keypoints: Float64, weights: Float64, reach: int) -> TrackedFrames | None:
+def _track_frames(keypoints: Float64, weights: Float64) -> TrackedFrames | None:
     """Return the keypoints that are used, as tracks; None if they are too few."""
     count, views, _, _ = keypoints.shape
     chosen = np.sort(np.argsort(-(weights > 0).sum((0, 1)), kind="stable")[:MOST_KEYPOINTS])
     pixels, weights = keypoints[:, :, chosen], weights[:, :, chosen]
     seen = weights > 0
-    reach = min(reach, count // 4)
     if views < 2 or count < LEAST_FRAMES:
         return None
     # One scale for all views keeps residuals of all pairs comparable.
@@ -203,7 +206,7 @@ def _track_frames(keypoints: Float64, weights: Float64, reach: int) -> TrackedFr
     )
     if half_width is None:
         return None
-    return TrackedFrames(tracks, _frames_within(tracks, reach), pairs, half_width)
+    return TrackedFrames(tracks, frames, pairs, half_width)
 
 
 def _frames_within(tracks: list[Track], margin: int) -> Int:
@@ -227,89 +230,6 @@ def _choose_pairs(shown: Int) -> list[tuple[int, int]]:
     best = int(np.argmax(shown))
     next_to = {(view, view + 1) for view in views[:-1]}
     return sorted(next_to | {(min(v, best), max(v, best)) for v in views if v != best})
-
-
-def _search(tracked: TrackedFrames, centre: Int, step: int) -> Int:
-    """Return the whole offsets (K,) around `centre`, in steps, that suit all pairs best."""
-    shifts = step * np.arange(-STEPS, STEPS + 1)
-    picked = _moving_frames(tracked)
-    times = picked + shifts[:, None]  # (D, T)
-    places = []
-    for track, late in zip(tracked.tracks, centre, strict=True):
-        needed, back = np.unique(times + late, return_inverse=True)
-        motion = motion_at(track, needed.astype(np.float64), tracked.half_width)
-        places.append(motion.places[back.reshape(times.shape)])  # (D, T, P, 2)
-    costs = {}
-    for first, second in tracked.pairs:
-        profile = _profile(places[first][STEPS], places[second])
-        if profile is not None:
-            costs[first, second] = profile
-    return centre + step * _best_for_all(costs, len(centre))
-
-
-def _moving_frames(tracked: TrackedFrames) -> Int:
-    """Return of every stretch of frames the one with most motion: without it there is no timing."""
-    frames = tracked.frames.astype(np.float64)
-    speeds = np.zeros(len(frames))
-    for track in tracked.tracks:
-        velocities = motion_at(track, frames, tracked.half_width).velocities
-        speeds += np.linalg.norm(np.nan_to_num(velocities), axis=-1).mean(-1)
-    keypoints = tracked.tracks[0].pixels.shape[1]
-    count = min(len(frames), max(SEARCH_POINTS // keypoints, LEAST_FRAMES))
-    stretches = np.array_split(np.arange(len(frames)), count)
-    return tracked.frames[[stretch[np.argmax(speeds[stretch])] for stretch in stretches]]
-
-
-def _profile(x: Float64, y: Float64) -> Float64 | None:
-    """Mean cost (D,) of keypoints x (T, P, 2) with those of the other view at D offsets."""
-    y = y.reshape(len(y), -1, 2)
-    x = np.broadcast_to(x.reshape(1, -1, 2), y.shape)
-    both = np.asarray(np.isfinite(x).all(-1) & np.isfinite(y).all(-1))
-    if both.sum(1).min() < 3 * LEAST_POINTS:
-        return None
-    x, y = (np.where(both[..., None], points, 0.0) for points in (x, y))
-    matrices, scales = fit_fundamentals(x, y, both.astype(np.float64), floor=FLOOR)
-    distances = sampson_distances(matrices, x, y)
-    costs = robust_costs(distances, scales[:, None]) * both
-    return np.asarray(costs.sum(1) / both.sum(1), np.float64)
-
-
-def _best_for_all(costs: dict[tuple[int, int], Float64], views: int) -> Int:
-    """Return the steps (K,) of least cost over all pairs, by coordinate descent from some starts.
-
-    Beyond the steps that were tried, a pair has the cost of its worst step.
-    """
-    best, least = np.zeros(views, np.int64), np.inf
-    rng = np.random.default_rng(0)
-    tried = np.arange(-STEPS, STEPS + 1)
-
-    def cost_of(view: int, steps: Int) -> Float64:
-        """Cost of the pairs of a view at each of the steps tried; without a pair none is best."""
-        total = np.zeros(len(tried))
-        for (first, second), profile in costs.items():
-            if view in (first, second):
-                ahead = tried - steps[first] if view == second else steps[second] - tried
-                outside = np.abs(ahead) > STEPS
-                total += np.where(
-                    outside, profile.max(), profile[np.clip(ahead, -STEPS, STEPS) + STEPS]
-                )
-        return total if total.any() else np.abs(tried).astype(np.float64)
-
-    for start in range(STARTS):
-        steps = rng.integers(-STEPS // 2, STEPS // 2 + 1, views) * (start > 0)
-        before = np.inf
-        while True:
-            now = 0.0
-            for view in range(views):
-                along = cost_of(view, steps)
-                steps[view] = tried[np.argmin(along)]
-                now += along.min()
-            if now >= before:
-                break
-            before = now
-        if before < least:
-            best, least = steps.copy(), before
-    return best - int(np.median(best))
 
 
 def _find_change(tracked: TrackedFrames, constant: Refined, reference: int) -> Timing | None:
@@ -347,10 +267,15 @@ def _find_change(tracked: TrackedFrames, constant: Refined, reference: int) -> T
 def _with_jump(tracked: TrackedFrames, border: int, reference: int) -> Refined | None:
     """Refine two constants for every view: before the frame `border`, and from it on."""
     after = tracked.frames >= border
-    still = np.zeros(len(tracked.tracks), np.int64)
-    parts = [
-        _search(tracked._replace(frames=tracked.frames[side]), still, 1) for side in (~after, after)
-    ]
+    moments = np.arange(len(tracked.tracks[0].pixels), dtype=np.float64)
+    motions = [motion_at(track, moments, tracked.half_width) for track in tracked.tracks]
+    parts = []
+    for side in (moments < border, moments >= border):
+        kept = [Motion(*(np.where(side[:, None, None], a, np.nan) for a in m)) for m in motions]
+        coarse = search(kept, tracked.pairs)
+        if coarse is None:
+            return None
+        parts.append(coarse.offsets)
     start = np.stack(parts, 1).astype(np.float64)  # (K, 2)
     functions = np.stack((~after, after), 1).astype(np.float64)
     return refine_offsets(tracked, start - start[reference], functions, reference)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from models.capture.clocks import Clocks, in_step
 from models.epipolar.order_checks import put_in_order
-from models.epipolar.synchronisation import Timing, find_timing, is_film, reach_at
+from models.epipolar.synchronisation import Timing, find_timing, is_film
 from models.findings.advice import attempt
 from models.findings.catalogue import Severity
 from models.findings.finding import Finding
@@ -51,15 +51,14 @@ def put_in_step(
     if times is None and not attempt(is_film, False, read.astype(np.float64)):
         return nothing
     step = None if first is None or len(first) < 2 else float(np.median(np.diff(first)))
-    reach = reach_at(None if step is None else 1 / step)
     slots = np.arange(len(read)) if first is None or step is None else _slots(first, step)
-    timing = attempt(_timing, None, read.astype(np.float64), _weights(read, trust), slots, reach)
+    timing = attempt(_timing, None, read.astype(np.float64), _weights(read, trust), slots)
     if timing is None:
         return nothing
     frames = np.arange(len(slots), dtype=np.float64)
     timing = timing._replace(frames=np.interp(timing.frames, slots, frames))
     findings = tuple(
-        _finding(timing, int(view), step) for view in np.flatnonzero(timing.late | timing.doubtful)
+        _finding(timing, int(view), step) for view in np.flatnonzero(timing.late | timing.unknown)
     )
     if first is None or step is None or not timing.late.any():
         return nothing._replace(findings=findings)
@@ -68,22 +67,22 @@ def put_in_step(
     return InStep(*in_step(keypoints, confidence, times, clocks), first, clocks, findings)
 
 
-def _timing(pixels: Float64, weights: Float64, slots: Int, reach: int) -> Timing | None:
+def _timing(pixels: Float64, weights: Float64, slots: Int) -> Timing | None:
     """Find by how many frames views are late.
 
     Exchanged views or keypoints and a camera that was moved also look like late views. If fewer
     views look late once these are corrected, the corrected frames decide.
     """
-    timing = find_timing(*_spread(pixels, weights, slots), reach=reach)
+    timing = find_timing(*_spread(pixels, weights, slots))
     if timing is None or not _out_of_step(timing):
         return timing
     ordered = put_in_order(pixels, weights)
-    again = ordered and find_timing(*_spread(*ordered, slots), reach=reach)
+    again = ordered and find_timing(*_spread(*ordered, slots))
     return again if again and _out_of_step(again) < _out_of_step(timing) else timing
 
 
 def _out_of_step(timing: Timing) -> int:
-    return int((timing.late | timing.doubtful).sum())
+    return int((timing.late | timing.unknown).sum())
 
 
 def _slots(times: Float64, step: float) -> Int:
