@@ -1,7 +1,7 @@
 """Drawn films with views in step or late, before cameras that stand, pan or are carried.
 
 `draw_film(number, half, data)` depends on the number, the half and the data alone. Motions and rigs
-are those of `benchmarks/motions.py` and `benchmarks/drawn_captures.py`, but all frames are in a row.
+are those of `benchmarks/motions.py` and `benchmarks/drawn_captures.py`, with frames in a row.
 """
 
 from pathlib import Path
@@ -141,9 +141,11 @@ def _moved(
             towards /= np.linalg.norm(towards, axis=1, keepdims=True)
             right = np.cross(towards, [0.0, 0.0, 1.0])
             right /= np.linalg.norm(right, axis=1, keepdims=True)
-            turns[:, view] = turns[:, view] @ np.stack(
-                (right, np.cross(towards, right), towards), 1
-            ) @ rotations[:, view].mT
+            turns[:, view] = (
+                turns[:, view]
+                @ np.stack((right, np.cross(towards, right), towards), 1)
+                @ rotations[:, view].mT
+            )
     else:
         far = np.linalg.norm(translations, axis=-1, keepdims=True)
         centres = centres + sway * far * courses(frames, (shape[1], 3), rng)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks.captures import Capture, CaptureError, read_capture
 from benchmarks.figures import Bar, Results, Row, command
 from models.capture.metrics import pa_mpjpe
-from models.epipolar.synchronisation import find_timing, reach_at
+from models.epipolar.synchronisation import find_timing
 from models.numerics.threads import use_threads
 from models.settings.config import Automatic, FitConfig
 from models.training.synchronising import put_in_step
@@ -56,7 +56,7 @@ def main() -> None:
     for noise in arguments.noise:
         for kind, lateness in (("whole", WHOLE), ("fractional", FRACTIONS)):
             found = [
-                find(capture, late, noise, seed, arguments.fps)
+                find(capture, late, noise, seed)
                 for seed in range(arguments.seeds)
                 for late in lateness
             ]
@@ -106,12 +106,12 @@ def harmed(capture: Capture, late: float, noise: float, seed: int) -> tuple[Floa
     return keypoints + noise * rng.standard_normal(keypoints.shape), view
 
 
-def find(capture: Capture, late: float, noise: float, seed: int, fps: float) -> Found:
+def find(capture: Capture, late: float, noise: float, seed: int) -> Found:
     """Make a view late, and look for it."""
     keypoints, view = harmed(capture, late, noise, seed)
     weights = np.isfinite(keypoints).all(-1) * 1.0
     started = time.process_time()
-    timing = find_timing(keypoints, np.asarray(weights), reach=reach_at(fps))
+    timing = find_timing(keypoints, np.asarray(weights))
     seconds = time.process_time() - started
     offsets = np.zeros(keypoints.shape[1])
     if timing is not None:

@@ -54,7 +54,7 @@ class Profile(NamedTuple):
 
 def signals_of(motion: Motion) -> Signals:
     """Return the signals of a view's keypoints and their velocities (N, P, 2)."""
-    there = np.isfinite(motion.places).all(-1)
+    there = np.asarray(np.isfinite(motion.places).all(-1))
     places = np.where(there[..., None], motion.places, 0.0)
     extent = np.sqrt(np.square(places).sum() / max(2 * int(there.sum()), 1)) + TINY
     x, y = (places / extent).clip(-BEYOND, BEYOND).transpose(2, 1, 0)
@@ -70,9 +70,7 @@ def signals_of(motion: Motion) -> Signals:
     logs = np.where(known, logs - (logs * known).sum(0) / frames, 0.0)
     logs = (logs / (np.sqrt(np.square(logs).sum(0) / frames) + TINY)).T
     seen = there.T.astype(np.float64)
-    return Signals(
-        np.stack((seen, x, y, x * x, x * y, y * y)), np.stack((logs, logs**2, known.T))
-    )
+    return Signals(np.stack((seen, x, y, x * x, x * y, y * y)), np.stack((logs, logs**2, known.T)))
 
 
 def longest_lag(frames: int, pairs: int) -> int:
@@ -108,7 +106,9 @@ def profiles_of(signals: list[Signals], pairs: list[Pair], most: int) -> dict[Pa
     return found
 
 
-def _correlated(first: NDArray[np.complex128], second: NDArray[np.complex128], most: int) -> Float64:
+def _correlated(
+    first: NDArray[np.complex128], second: NDArray[np.complex128], most: int
+) -> Float64:
     """Sum products of two spectra (F, A, P) and (F, B, P) over P, at all lags: (2 M + 1, B, A)."""
     sums = np.fft.irfft(second @ first.conj().mT, axis=0)
     return np.concatenate((sums[len(sums) - most :], sums[: most + 1]))
@@ -163,8 +163,9 @@ def relative(offsets: Int) -> Int:
     values, counts = np.unique(offsets, return_counts=True)
     common = values[counts == counts.max()]
     if len(offsets) == 2:
-        return offsets - offsets[0]
-    return offsets - common[np.argmin(np.abs(common - np.median(offsets)))]
+        return np.asarray(offsets - offsets[0], np.int64)
+    usual = common[np.argmin(np.abs(common - np.median(offsets)))]
+    return np.asarray(offsets - usual, np.int64)
 
 
 def costs_of_view(costs: dict[Pair, Float64], view: int, offsets: Int) -> Float64:
@@ -214,13 +215,17 @@ class Coarse(NamedTuple):
         views = len(self.offsets)
         return [self.offsets, offsets_together(self.geometry, views), np.zeros(views, np.int64)]
 
-    def rivals(self, view: int) -> list[int]:
-        """Return other offsets that a view may have, while the other views keep theirs.
+    def rivals(self, view: int, offsets: Int) -> list[int]:
+        """Return other offsets that a view may have than its own of `offsets` (K,).
 
         None where static cameras leave no doubt. Else the best by geometry and by motion.
         """
-        own = int(self.offsets[view])
-        geometry, motion = (self._costs(costs, view) for costs in (self.geometry, self.motion))
+        own = int(offsets[view])
+        pairs = sum(view in pair for pair in self.geometry)
+        geometry, motion = (
+            costs_of_view(costs, view, offsets) / max(pairs, 1)
+            for costs in (self.geometry, self.motion)
+        )
         by_geometry = lowest(geometry, 2)
         most = len(geometry) // 2
         least = geometry[[offset + most for offset in by_geometry]]
@@ -234,19 +239,15 @@ class Coarse(NamedTuple):
                 rivals.append(offset)
         return rivals
 
-    def _costs(self, costs: dict[Pair, Float64], view: int) -> Float64:
-        """Return the mean cost (2 M + 1,) of a view's pairs at each of its offsets."""
-        pairs = sum(view in pair for pair in costs)
-        return costs_of_view(costs, view, self.offsets) / max(pairs, 1)
 
-
-def search(motions: list[Motion], pairs: list[Pair]) -> Coarse | None:
+def search(motions: list[Motion], pairs: list[Pair], most: int | None = None) -> Coarse | None:
     """Search whole offsets of views with motions (N, P) over all frames that they share.
 
-    None if no pair shares enough.
+    Or over `most` frames to either side. None if no pair shares enough.
     """
     signals = [signals_of(motion) for motion in motions]
-    most = longest_lag(len(motions[0].places), len(pairs))
+    longest = longest_lag(len(motions[0].places), len(pairs))
+    most = longest if most is None else min(most, longest)
     profiles = profiles_of(signals, pairs, most)
     if not profiles:
         return None

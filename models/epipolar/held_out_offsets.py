@@ -50,15 +50,17 @@ class Offsets(NamedTuple):
     def times(self, view: int, moments: Float64) -> Float64:
         """Return in which of its frames a view shows the moments (T,)."""
         if view != self.view:
-            return moments + self.others[view]
-        return moments + np.interp(moments, np.arange(len(self.of_view)), self.of_view)
+            return np.asarray(moments + self.others[view], np.float64)
+        late = np.interp(moments, np.arange(len(self.of_view)), self.of_view)
+        return np.asarray(moments + late, np.float64)
 
     def moments(self, view: int, times: Float64) -> Float64:
         """Return the moments (T,) that a view shows in its frames `times`."""
         if view != self.view:
-            return times - self.others[view]
+            return np.asarray(times - self.others[view], np.float64)
         every = np.arange(len(self.of_view), dtype=np.float64)
-        return times - np.interp(times, every + self.of_view, self.of_view)
+        late = np.interp(times, every + self.of_view, self.of_view)
+        return np.asarray(times - late, np.float64)
 
 
 def gain_of(
@@ -92,8 +94,8 @@ def gain_of(
 def certainty_of(gains: Float64) -> float:
     """Return the mean of gains (B,) in standard errors of Student's t, as a Gaussian has them."""
     count = len(gains)
-    error = float(gains.std(ddof=1)) / np.sqrt(count) + TINY
-    return float(gains.mean()) / error * (count - 3) / count
+    error = float(gains.std(ddof=1)) / float(np.sqrt(count)) + TINY
+    return float(float(gains.mean()) / error * (count - 3) / count)
 
 
 def of_static_cameras(tracked: TrackedFrames, offsets: Offsets) -> bool:
@@ -104,7 +106,10 @@ def of_static_cameras(tracked: TrackedFrames, offsets: Offsets) -> bool:
         inside = _inside(offsets, other, moments, (offsets.view, other))
         moments = offsets.moments(other, _thinned(moments[inside], FRAMES))
         if len(moments) >= LEAST_FRAMES:
-            costs = [float(np.nanmean(cost)) for cost in _costs_of(tracked, offsets, (offsets.view, other), moments)]
+            costs = [
+                float(np.nanmean(cost))
+                for cost in _costs_of(tracked, offsets, (offsets.view, other), moments)
+            ]
             static.append(costs[0])
             best.append(min(costs))
     return bool(static) and float(np.mean(static)) < float(np.mean(best)) + AS_WELL
@@ -127,7 +132,7 @@ def best_costs(
     *,
     roughly: bool = False,
 ) -> Float64:
-    """Return the costs (T,) of a pair's keypoints at moments, with the cameras that suit it best."""
+    """Return the costs (T,) of a pair at moments, with the cameras that suit it best."""
     costs = _costs_of(tracked, offsets, pair, moments, roughly=roughly)
     return min(costs, key=lambda cost: float(np.nansum(cost)))
 
@@ -145,14 +150,15 @@ def _costs_of(
         motion_at(tracked.tracks[view], offsets.times(view, moments), tracked.half_width).places
         for view in pair
     )
-    there = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
+    there = np.asarray(np.isfinite(x).all(-1) & np.isfinite(y).all(-1))
     x, y = (np.where(there[..., None], points, 0.0) for points in (x, y))
     kinds = [(len(x), False), (1, True)] if roughly else [(len(x), False), *STRETCHES, (1, True)]
     return [_costs(_held_out(x, y, there, many, affine=affine), there) for many, affine in kinds]
 
 
 def _thinned(times: Float64, most: int) -> Float64:
-    return times[np.linspace(0, len(times) - 1, min(most, len(times))).astype(int)]
+    places = np.linspace(0, len(times) - 1, min(most, len(times)))
+    return np.asarray(times[places.astype(int)], np.float64)
 
 
 def _inside(offsets: Offsets, kept: int, times: Float64, pair: tuple[int, int]) -> Bool:
@@ -165,12 +171,15 @@ def _inside(offsets: Offsets, kept: int, times: Float64, pair: tuple[int, int]) 
 def _in_blocks(gains: Float64) -> Float64:
     blocks = np.array_split(gains, BLOCKS)
     known = [np.isfinite(block) for block in blocks]
-    means = [block[there].mean() if there.any() else 0.0 for block, there in zip(blocks, known, strict=True)]
+    means = [
+        block[there].mean() if there.any() else 0.0
+        for block, there in zip(blocks, known, strict=True)
+    ]
     return np.array(means)
 
 
 def _costs(distances: Float64, there: Bool) -> Float64:
-    """Mean negative log likelihood (T,) of distances (T, P) under Student's t of the likeliest scale."""
+    """Mean negative log likelihood (T,) of distances (T, P), of the likeliest scale."""
     scale, count = FLOOR, max(int(there.sum()), 1)
     if there.any():
         scale = max(NORMAL * float(np.median(np.abs(distances[there]))), FLOOR)
@@ -209,8 +218,10 @@ def _held_out(x: Float64, y: Float64, there: Bool, stretch: int, *, affine: bool
     return distances.reshape(-1, points)[:count]
 
 
-def _fit(x: Float64, y: Float64, weights: Float64, fold: NDArray[np.int64], *, affine: bool) -> Float64:
-    """Fit matrices (S, F, 3, 3) to what each of F folds leaves of points x, y (S, M, 2), robustly."""
+def _fit(
+    x: Float64, y: Float64, weights: Float64, fold: NDArray[np.int64], *, affine: bool
+) -> Float64:
+    """Fit matrices (S, F, 3, 3), robustly, to what F folds leave of points x, y (S, M, 2)."""
     train = weights[:, None] * (fold != np.arange(FOLDS)[:, None])  # (S, F, M)
     total = np.maximum(weights.sum(1), 1)[:, None, None]
     to_x, to_y = ((points * weights[..., None]).sum(1, keepdims=True) / total for points in (x, y))
@@ -258,7 +269,7 @@ def _distances(matrices: Float64, hx: Float64, hy: Float64) -> Float64:
 
 
 def _centring(centre: Float64, unit: Float64) -> Float64:
-    """Return the similarities (S, 3, 3) that take centres (S, 1, 2) to 0 and units (S, 1, 1) to 1."""
+    """Return the similarities (S, 3, 3) that take centres (S, 1, 2) to 0, units (S, 1, 1) to 1."""
     found = np.zeros((len(centre), 3, 3))
     found[:, 0, 0] = found[:, 1, 1] = 1 / unit[:, 0, 0]
     found[:, :2, 2] = -centre[:, 0] / unit[:, 0]

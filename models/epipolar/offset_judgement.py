@@ -17,7 +17,8 @@ Float64 = NDArray[np.float64]
 Verdict = Literal["in step", "late", "unknown"]
 
 # Standard errors and nats of a keypoint by which an offset is better than in step, and than others.
-SURE, LEAST_GAIN = 3.5, 0.02
+# Static cameras that determine the offset are evidence of their own.
+SURE, SURE_STATIC, LEAST_GAIN = 3.5, 2.5, 0.02
 IN_STEP = 1.5  # standard errors by which in step is better than an offset
 DROPPED = 3.0  # standard errors, at a first look, by which an offset is worse
 NEAR = 2.0  # frames: nearer offsets are refined, not compared
@@ -54,29 +55,28 @@ def judge(
         return Judged("in step", still, sd, np.inf)
     tried = [] if leader is in_step else [leader]
     for rival in rivals:
-        if abs(rival) > NEAR:
+        if min(abs(rival), np.abs(rival - proposed.of_view).min()) > NEAR:
             offsets = Offsets(view, still + rival, others)
             behind = gain_of(tracked, leader, offsets, roughly=True)
             if behind is None or certainty_of(behind) < DROPPED:
                 tried.append(offsets)
     gains = [(gain_of(tracked, offsets, in_step), offsets) for offsets in tried]
     compared = [(gain, offsets) for gain, offsets in gains if gain is not None]
-    import os
-    if os.environ.get("DEBUG_TIMING"):
-        print("   view", view, "prop", round(float(proposed.of_view.mean()),2), "sd", round(sd,2), "rivals", rivals, [(round(float(o.of_view.mean()),2), round(float(g.mean()),3), round(certainty_of(g),1)) for g, o in compared])
     if not compared:
         clear = not tried and (known or bool(rivals))
         return Judged("in step" if clear else "unknown", leader.of_view, sd, 0.0)
     gain, best = max(compared, key=lambda one: float(one[0].mean()))
     if gain.mean() <= 0:
-        behind = min(-certainty_of(gain) for gain, _ in compared)
-        return Judged("in step" if behind > IN_STEP else "unknown", best.of_view, sd, behind)
+        ahead = min(-certainty_of(gain) for gain, _ in compared)
+        return Judged("in step" if ahead > IN_STEP else "unknown", best.of_view, sd, ahead)
     certainty = certainty_of(gain)
     for _, other in compared:
         if other is not best:
             against = gain_of(tracked, best, other)
             certainty = min(certainty, 0.0 if against is None else certainty_of(against))
-    verdict: Verdict = "late" if certainty > SURE and gain.mean() > LEAST_GAIN else "unknown"
+    static = best is proposed and known and of_static_cameras(tracked, proposed)
+    enough = SURE_STATIC if static else SURE
+    verdict: Verdict = "late" if certainty > enough and gain.mean() > LEAST_GAIN else "unknown"
     if best is not proposed:
         best, sd = _between(tracked, best)
     if verdict == "unknown" and np.abs(best.of_view).max() + sd < NEARLY:

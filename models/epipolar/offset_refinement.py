@@ -78,6 +78,7 @@ class Refined(NamedTuple):
     coefficients: Float64  # (K, M) frames
     covariances: Float64  # (K, M, M) of a view's coefficients
     noise: float  # of the smoothed keypoints, in units of their extent
+    cost: float  # mean logarithm of the noise of the pairs
     matrices: dict[Pair, Float64]
     block_offsets: Float64  # (B, K) frames, that every block of frames would add to a constant
     block_weights: Float64  # (B, K) information on these
@@ -139,6 +140,7 @@ def refine_offsets(
         coefficients,
         covariance.reshape(views, size, views, size)[range(views), :, range(views)],
         float(np.median([equations.scale for equations in of_pairs.values()])),
+        float(np.mean([np.log(equations.scale) for equations in of_pairs.values()])),
         matrices,
         _of_blocks(np.einsum("bkmlo->bkl", information), scores.sum(-1), reference),
         np.einsum("bkmko->bk", information),

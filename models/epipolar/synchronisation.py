@@ -29,8 +29,6 @@ from models.epipolar.coarse_offsets import Coarse, search
 from models.epipolar.held_out_offsets import Offsets
 from models.epipolar.offset_judgement import judge
 from models.epipolar.offset_refinement import (
-    FLOOR,
-    MOST_BLOCKS,
     Refined,
     TrackedFrames,
     costs_of_frames,
@@ -60,6 +58,7 @@ DOUBTFUL_FRAMES, DOUBTFUL_SDS = 0.5, 2.5
 WHOLE_SDS, LEAST_WHOLE, MOST_WHOLE = 2.0, 0.02, 0.15
 CHANGE_FRAMES, CHANGE_SDS = 0.5, 6.0  # of a drift or a jump
 CHANGE_BLOCKS = 3  # of frames on either side of a jump
+MOST_JUMP = 12  # frames
 DRIFT = 0  # in place of the block before which a jump is
 MOST_SHIFT = 2.0  # frames, by a refinement: a jump may lie between
 MOST_NOISE = 0.25  # of a view's radius: beyond it no one geometry explains the frames
@@ -108,7 +107,7 @@ def find_timing(keypoints: Float64, weights: Float64) -> Timing | None:
         return None
     timing = _refined(tracked, coarse)
     for view in range(views) if views > 2 else (1,):
-        timing = _judged(tracked, timing, view, coarse.rivals(view))
+        timing = _judged(tracked, timing, view, coarse)
     return timing
 
 
@@ -124,13 +123,21 @@ def _refined(tracked: TrackedFrames, coarse: Coarse) -> Timing:
         if found is None or found.noise > MOST_NOISE * own.radius:
             continue
         if np.abs(found.coefficients - start).max() < MOST_SHIFT and (
-            best is None or found.noise < best.noise
+            best is None or found.cost < best.cost
         ):
             best, used, fixed = found, own, reference
+            if not any(coarse.rivals(view, whole) for view in range(len(whole))):
+                break
     if best is None:
         late = coarse.offsets != 0
         none = np.zeros(len(late), np.bool_)
-        return Timing(np.zeros(1), coarse.offsets[None] * 1.0, np.full(len(late), np.inf), late, none)
+        return Timing(
+            np.zeros(1),
+            coarse.offsets[None].astype(np.float64),
+            np.full(len(late), np.inf),
+            late,
+            none,
+        )
     changing = _find_change(used, best, fixed)
     if changing is not None:
         return changing
@@ -139,12 +146,13 @@ def _refined(tracked: TrackedFrames, coarse: Coarse) -> Timing:
     return _decide(np.zeros(1), best.coefficients.T, sds, used.blocks)
 
 
-def _judged(tracked: TrackedFrames, timing: Timing, view: int, rivals: list[int]) -> Timing:
+def _judged(tracked: TrackedFrames, timing: Timing, view: int, coarse: Coarse) -> Timing:
     """Keep, exchange or doubt the offset of a view."""
     moments = np.arange(len(tracked.tracks[0].pixels), dtype=np.float64)
     middle = timing.offsets.mean(0)
     own = np.interp(moments, timing.frames, timing.offsets[:, view])
     proposed = Offsets(view, own, middle)
+    rivals = coarse.rivals(view, np.round(middle).astype(np.int64))
     judged = judge(tracked, middle, proposed, float(timing.sds[view]), rivals)
     offsets, late, unknown = timing.offsets.copy(), timing.late.copy(), timing.unknown.copy()
     sds = timing.sds.copy()
@@ -272,7 +280,7 @@ def _with_jump(tracked: TrackedFrames, border: int, reference: int) -> Refined |
     parts = []
     for side in (moments < border, moments >= border):
         kept = [Motion(*(np.where(side[:, None, None], a, np.nan) for a in m)) for m in motions]
-        coarse = search(kept, tracked.pairs)
+        coarse = search(kept, tracked.pairs, MOST_JUMP)
         if coarse is None:
             return None
         parts.append(coarse.offsets)

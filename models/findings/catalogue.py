@@ -19,6 +19,7 @@ CaptureCode = TypeAliasType(
         "one_view",
         "no_motion",
         "views_out_of_step",
+        "timing_unknown",
         "views_swapped",
         "left_right_swapped",
         "left_right_mended",
@@ -136,6 +137,14 @@ CATALOGUE: dict[FindingCode, Entry] = {
         "Synchronise the cameras, or give the dataset's `fps` or `times`: fits and lifts of"
         " datasets then shift the view (`synchronise: auto`). Frames that are lifted one by one or"
         " in a stream are never shifted: send them in step.",
+    ),
+    "timing_unknown": Entry(
+        "info",
+        "The keypoints do not show whether this view is in step with the others: another offset"
+        " explains them about as well. It counts as in step, and is not shifted. If it is late,"
+        " fast movements are smeared and static cameras seem to move.",
+        "Start the cameras together, or show a clap or a jump to all of them and give the `times`"
+        " of each view. Steady steps and other movements that repeat leave it open.",
     ),
     "views_swapped": Entry(
         "warning",

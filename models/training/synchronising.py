@@ -39,9 +39,10 @@ def put_in_step(
     """Read late views (of keypoints (N, K, P, 2)) later, so that every frame is one moment.
 
     Times (N,) or (N, K) in seconds may differ between views, and the views are then shifted by the
-    difference. With times, views that are still late are found and shifted too. Without times
-    they are only reported, and only if frames follow each other in time. `synchronise: off`
-    disables the search. If the search fails, the error is logged and no view counts as late.
+    difference. If frames follow each other in time, views that are still late are found. With
+    times they are shifted too; without, they are only reported. A view that may be late, but need
+    not, is reported and never shifted. `synchronise: off` disables the search. If the search
+    fails, the error is logged and no view counts as late.
     """
     read, trust = in_step(keypoints, confidence, times)
     first = None if times is None else times.reshape(len(times), -1)[:, 0]
@@ -112,7 +113,7 @@ def _weights(keypoints: Float32, confidence: Float32 | None) -> Float64:
 
 
 def _finding(timing: Timing, view: int, step: float | None) -> Finding:
-    """Return findings of late views; `step` is the time between frames, if it is known."""
+    """Return what is found of a view that is late, or may be; `step` is the time between frames."""
     offsets = timing.offsets[:, view]
     sure = bool(timing.late[view])
     applied = sure and step is not None
@@ -127,6 +128,8 @@ def _finding(timing: Timing, view: int, step: float | None) -> Finding:
     if len(offsets) > 1:
         evidence["first_offset_frames"], evidence["last_offset_frames"] = map(float, offsets)
         evidence["changes_from"], evidence["changes_to"] = map(float, timing.frames)
-    severity: Severity = "warning" if sure and not applied else "info"
+    if not sure:
+        return Finding.of("timing_unknown", views=(view,)).with_evidence(evidence)
+    severity: Severity = "info" if applied else "warning"
     finding = Finding.of("views_out_of_step", views=(view,), severity=severity)
     return finding.with_evidence(evidence)

@@ -82,7 +82,7 @@ def test_no_check_fails(keypoints: Float32) -> None:
     timing = find_timing(pixels, weights)
     if timing is not None:
         assert np.isfinite(timing.offsets).all()
-        assert not (timing.late & timing.doubtful).any()
+        assert not (timing.late & timing.unknown).any()
     with np.errstate(all="ignore"):
         order_findings(pixels, weights)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from models.epipolar.synchronisation import find_timing
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.synchronising import put_in_step
@@ -81,9 +80,6 @@ def test_what_only_looks_late_is_not_called_so() -> None:
     other_side = filmed(0, 0, 0, noise=10)
     other_side[:, 1] = other_side[:, 1][:, partners()]
     for keypoints in (moved, other_side):
-        timing = find_timing(keypoints.astype(np.float64), np.ones(keypoints.shape[:3]))
-        assert timing is not None
-        assert (timing.late | timing.doubtful)[1]  # at first sight
         assert not put_in_step(keypoints, None, None, "auto").findings
 
 
