@@ -46,9 +46,9 @@ def draw_film(number: int, half: str, data: Path | None = None) -> Film:
     before, after = (int(np.ceil(max(0.0, way))) + 2 for way in (late.max(), -late.min()))
     name, points = _in_a_row(frames + before + after, half, data, rng)
     points, words = drawn._walking(points, rng, clip=True)
-    lens = drawn._lenses(views, rng)
+    lens = drawn.draw_lenses(views, rng)
     arrangement = str(rng.choice(drawn.ARRANGEMENTS))
-    poses = drawn._poses(points, lens, arrangement, rng)
+    poses = drawn.place_cameras(points, lens, arrangement, rng)
     rotations, translations = _moved(kind, poses, points, before, frames, late, rng)
     exact = np.empty((frames, views, points.shape[1], 2))
     for view in range(views):
@@ -61,7 +61,7 @@ def draw_film(number: int, half: str, data: Path | None = None) -> Film:
             lens.centres[view : view + 1],
             lens.radial[view : view + 1],
         )
-    keypoints, _, harms = drawn._detected(exact, lens, rng)
+    keypoints, _, harms = drawn.detected(exact, lens, rng)
     told = ", ".join(f"{frames:.1f}" for frames in late)
     text = f"{name}, {frames} frames; {'; '.join(words)}; {views} views {arrangement}; {kind}"
     return Film(number, "; ".join((text, f"late {told}", *harms)), kind, keypoints, late)
