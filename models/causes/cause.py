@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from models.calibrating.image_sizes import ImageSizes
 from models.causes.pixel_map import PixelMap
-from models.findings.catalogue import CauseCode
+from models.findings.catalogue import CauseCode, Severity
 from models.findings.finding import Finding
 
 Float32 = NDArray[np.float32]
@@ -57,7 +57,9 @@ class Cause(NamedTuple):
         evidence |= {"log_likelihood_ratio": self.gain, "applied": float(applied)}
         if self.partners:
             evidence["sides_exchanged"] = 1.0
-        return Finding.of(CODES[self.kind], views=(self.view,)).with_evidence(evidence)
+        severity: Severity | None = "info" if applied else None
+        found = Finding.of(CODES[self.kind], views=(self.view,), severity=severity)
+        return found.with_evidence(evidence)
 
 
 CAUSES = TypeAdapter(tuple[Cause, ...])

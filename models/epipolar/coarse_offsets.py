@@ -218,7 +218,8 @@ class Coarse(NamedTuple):
     def rivals(self, view: int, offsets: Int) -> list[int]:
         """Return other offsets that a view may have than its own of `offsets` (K,).
 
-        None where static cameras leave no doubt. Else the best by geometry and by motion.
+        None in step where static cameras leave no doubt. Else the best by geometry and by motion:
+        a movement that repeats leaves none either, at any of its periods.
         """
         own = int(offsets[view])
         pairs = sum(view in pair for pair in self.geometry)
@@ -229,10 +230,11 @@ class Coarse(NamedTuple):
         by_geometry = lowest(geometry, 2)
         most = len(geometry) // 2
         least = geometry[[offset + most for offset in by_geometry]]
-        if len(least) == 2 and abs(by_geometry[0] - own) <= 1 and least[1] - least[0] > CLEAR:
+        clear = own == 0 and abs(by_geometry[0]) <= 1
+        if clear and len(least) == 2 and least[1] - least[0] > CLEAR:
             return []
         both = standardised(geometry) + standardised(motion)
-        found = [*by_geometry[:1], *lowest(motion, 2), *lowest(both, 2)]
+        found = [*by_geometry, *lowest(motion, 2), *lowest(both, 2)]
         rivals: list[int] = []
         for offset in found:
             if all(abs(offset - other) > APART for other in (own, *rivals)):

@@ -57,7 +57,7 @@ def judge(
     for rival in rivals:
         if min(abs(rival), np.abs(rival - proposed.of_view).min()) > NEAR:
             offsets = Offsets(view, still + rival, others)
-            behind = gain_of(tracked, leader, offsets, roughly=True)
+            behind = gain_of(tracked, _whole(leader), offsets, roughly=True)
             if behind is None or certainty_of(behind) < DROPPED:
                 tried.append(offsets)
     gains = [(gain_of(tracked, offsets, in_step), offsets) for offsets in tried]
@@ -72,7 +72,7 @@ def judge(
     certainty = certainty_of(gain)
     for _, other in compared:
         if other is not best:
-            against = gain_of(tracked, best, other)
+            against = gain_of(tracked, _whole(best), _whole(other))
             certainty = min(certainty, 0.0 if against is None else certainty_of(against))
     static = best is proposed and known and of_static_cameras(tracked, proposed)
     enough = SURE_STATIC if static else SURE
@@ -82,6 +82,15 @@ def judge(
     if verdict == "unknown" and np.abs(best.of_view).max() + sd < NEARLY:
         verdict = "in step"
     return Judged(verdict, best.of_view, sd, certainty)
+
+
+def _whole(offsets: Offsets) -> Offsets:
+    """Return a constant offset in whole frames, as its rivals are.
+
+    Of a movement that repeats, a period earlier would else be worse by a fraction of a frame.
+    """
+    constant = np.ptp(offsets.of_view) == 0
+    return offsets._replace(of_view=np.rint(offsets.of_view)) if constant else offsets
 
 
 def _between(tracked: TrackedFrames, whole: Offsets) -> tuple[Offsets, float]:
