@@ -215,31 +215,37 @@ class Coarse(NamedTuple):
         views = len(self.offsets)
         return [self.offsets, offsets_together(self.geometry, views), np.zeros(views, np.int64)]
 
+    def clear(self, view: int, offsets: Int) -> bool:
+        """Whether static cameras leave no doubt of a view's own of the `offsets` (K,)."""
+        geometry, _ = self._costs(view, offsets)
+        best = lowest(geometry, 2)
+        if len(best) < 2 or abs(best[0] - int(offsets[view])) > 1:
+            return False
+        least, next_least = geometry[[offset + len(geometry) // 2 for offset in best]]
+        return bool(next_least - least > CLEAR)
+
     def rivals(self, view: int, offsets: Int) -> list[int]:
         """Return other offsets that a view may have than its own of `offsets` (K,).
 
-        None in step where static cameras leave no doubt. Else the best by geometry and by motion:
-        a movement that repeats leaves none either, at any of its periods.
+        None for a view in step if static cameras leave no doubt. Else the best by geometry and by
+        motion: a movement that repeats leaves no doubt either, at any of its periods.
         """
         own = int(offsets[view])
-        pairs = sum(view in pair for pair in self.geometry)
-        geometry, motion = (
-            costs_of_view(costs, view, offsets) / max(pairs, 1)
-            for costs in (self.geometry, self.motion)
-        )
-        by_geometry = lowest(geometry, 2)
-        most = len(geometry) // 2
-        least = geometry[[offset + most for offset in by_geometry]]
-        clear = own == 0 and abs(by_geometry[0]) <= 1
-        if clear and len(least) == 2 and least[1] - least[0] > CLEAR:
+        if own == 0 and self.clear(view, offsets):
             return []
+        geometry, motion = self._costs(view, offsets)
         both = standardised(geometry) + standardised(motion)
-        found = [*by_geometry, *lowest(motion, 2), *lowest(both, 2)]
         rivals: list[int] = []
-        for offset in found:
+        for offset in [*lowest(geometry, 2), *lowest(motion, 2), *lowest(both, 2)]:
             if all(abs(offset - other) > APART for other in (own, *rivals)):
                 rivals.append(offset)
         return rivals
+
+    def _costs(self, view: int, offsets: Int) -> tuple[Float64, Float64]:
+        """Return the costs (2 M + 1,) of a view's offsets by geometry and by motion, of a pair."""
+        pairs = max(sum(view in pair for pair in self.geometry), 1)
+        by_geometry = costs_of_view(self.geometry, view, offsets) / pairs
+        return by_geometry, costs_of_view(self.motion, view, offsets) / pairs
 
 
 def search(motions: list[Motion], pairs: list[Pair], most: int | None = None) -> Coarse | None:

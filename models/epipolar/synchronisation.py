@@ -126,7 +126,7 @@ def _refined(tracked: TrackedFrames, coarse: Coarse) -> Timing:
             best is None or found.cost < best.cost
         ):
             best, used, fixed = found, own, reference
-            if not any(coarse.rivals(view, whole) for view in range(len(whole))):
+            if all(coarse.clear(view, whole) for view in range(len(whole))):
                 break
     if best is None:
         late = coarse.offsets != 0
