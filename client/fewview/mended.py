@@ -22,7 +22,6 @@ WORDS: dict[str, Callable[[Numbers], str]] = {
     "view_mirrored": lambda n: f"mirrored{_sides(n)}",
     "view_turned": lambda n: f"turned by {n.get('degrees', 180):.0f} degrees",
     "axes_exchanged": lambda _: "x and y exchanged",
-    "views_exchanged": lambda _: "with size and calibration of another view",
 }
 
 

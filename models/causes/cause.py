@@ -23,7 +23,6 @@ Kind = Literal[
     "upside_down",  # turned by 180 degrees
     "on_its_side",  # turned by `degrees`, 90 or 270 clockwise
     "axes_exchanged",  # x is y
-    "other_view",  # with size and calibration of another: `of_view`
 ]
 CODES: dict[Kind, CauseCode] = {
     "cropped": "view_cropped",
@@ -34,7 +33,6 @@ CODES: dict[Kind, CauseCode] = {
     "upside_down": "view_turned",
     "on_its_side": "view_turned",
     "axes_exchanged": "axes_exchanged",
-    "other_view": "views_exchanged",
 }
 
 

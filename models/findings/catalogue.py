@@ -55,7 +55,6 @@ CauseCode = TypeAliasType(
         "view_mirrored",
         "view_turned",
         "axes_exchanged",
-        "views_exchanged",
     ],
 )
 LiftCode = TypeAliasType(
@@ -326,12 +325,6 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " it together with the others unless it is undone (`applied` 1).",
         "Write x, to the right, before y, downwards. Or fit with `mend: auto`, which undoes it"
         " in the fit and in lifts of its model (`applied` 1).",
-    ),
-    "views_exchanged": Entry(
-        "warning",
-        "This view's keypoints go with the size, the lens or the pose that was given for"
-        " another view (`of_view`), and so they were used (`applied` 1).",
-        "Give files, image sizes and the calibration in one order.",
     ),
     "rig_not_used": Entry(
         "warning",

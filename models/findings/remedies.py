@@ -53,7 +53,6 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "view_mirrored": ("mend", "mirror"),
     "view_turned": ("mend",),
     "axes_exchanged": ("mend",),
-    "views_exchanged": ("image_sizes", "calibration"),
     "rig_not_used": ("views",),
     "frame_unlike_fit": ("from_model",),
     "not_in_room": ("frame", "refine"),
