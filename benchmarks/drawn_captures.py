@@ -100,12 +100,12 @@ def draw_capture(number: int, data: Path | None = None, half: str | None = None)
         points, words = _motion(truth, MOTIONS[name][1], rng)
     else:
         name, points = _of_half(half, data, rng)
-        points, words = _walking(points, rng, clip=True)
+        points, words = walking(points, rng, clip=True)
     lens = draw_lenses(views, rng)
     arrangement = ARRANGEMENTS[int(rng.integers(len(ARRANGEMENTS)))]
     rotations, translations = place_cameras(points, lens, arrangement, rng)
     if moving:
-        rotations, translations = _shaken(rotations, translations, len(points), rng)
+        rotations, translations = shaken(rotations, translations, len(points), rng)
     shape = (len(points), views)
     rotations = np.broadcast_to(rotations, (*shape, 3, 3))
     translations = np.broadcast_to(translations, (*shape, 3))
@@ -174,7 +174,7 @@ class DrawnLenses(NamedTuple):
 def _motion(truth: Float64, up: int, rng: np.random.Generator) -> tuple[Float64, list[str]]:
     """Return frames (N, P, 3) of a motion about the origin with z up, and what was drawn."""
     points, clip = taken(truth, up, int(log_uniform(FRAMES, rng)), rng)
-    points, words = _walking(points, rng, clip=clip)
+    points, words = walking(points, rng, clip=clip)
     return points, ["clip" if clip else "scattered", *words]
 
 
@@ -185,7 +185,7 @@ def _of_half(half: str, data: Path | None, rng: np.random.Generator) -> tuple[st
     return name, found[name](int(log_uniform(FRAMES, rng)), rng)
 
 
-def _walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[Float64, list[str]]:
+def walking(points: Float64, rng: np.random.Generator, *, clip: bool) -> tuple[Float64, list[str]]:
     """Return points about the origin, or on a way of their own, and what was drawn."""
     points = points - np.nanmean(points, 1, keepdims=True)
     walks = bool(rng.random() < 0.6)
@@ -269,7 +269,7 @@ def place_cameras(
     return rotations, translations
 
 
-def _shaken(
+def shaken(
     rotations: Float64, translations: Float64, frames: int, rng: np.random.Generator
 ) -> tuple[Float64, Float64]:
     """Return poses (N, K, ...) of cameras that people carry about the subject."""

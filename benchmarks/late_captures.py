@@ -45,7 +45,7 @@ def draw_film(number: int, half: str, data: Path | None = None) -> Film:
     kind = KINDS[0] if rng.random() < STANDING else str(rng.choice(KINDS[1:]))
     before, after = (int(np.ceil(max(0.0, way))) + 2 for way in (late.max(), -late.min()))
     name, points = _in_a_row(frames + before + after, half, data, rng)
-    points, words = drawn._walking(points, rng, clip=True)
+    points, words = drawn.walking(points, rng, clip=True)
     lens = drawn.draw_lenses(views, rng)
     arrangement = str(rng.choice(drawn.ARRANGEMENTS))
     poses = drawn.place_cameras(points, lens, arrangement, rng)
@@ -123,7 +123,7 @@ def _moved(
     rotations, translations = poses
     shape, sway = (frames, len(rotations)), _log_uniform(SWAY, rng)
     if kind == "shaken":
-        return drawn._shaken(*poses, frames, rng)
+        return drawn.shaken(*poses, frames, rng)
     rotations = np.broadcast_to(rotations, (*shape, 3, 3))
     translations = np.broadcast_to(translations, (*shape, 3))
     if kind == "static":
