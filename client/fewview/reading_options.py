@@ -1,6 +1,5 @@
 """How files of 2D keypoints are to be read: what `fewview.read` and all commands take."""
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -13,7 +12,6 @@ Person = int | str
 Size = tuple[int, int]
 Sizes = Size | Sequence[Size | None] | Mapping[str, Size] | str
 Value = TypeVar("Value")
-_PAIR = re.compile(r"([-+.\d]+)\s*,\s*([-+.\d]+)(?=\s*(?:,|$))")
 FURTHEST = 1e6  # pixels: a corner lies in an image
 
 
@@ -146,9 +144,7 @@ class ReadingOptions:
         """
         if self.offset is None:
             return [None] * len(views)
-        # A pair is one value: what separates its numbers is not what separates views.
-        text = _PAIR.sub(r"\1x\2", self.offset)
-        return _of_views(text, views, _corner, "offset")
+        return _of_views(_pairs_joined(self.offset), views, _corner, "offset")
 
     def delays(self, views: Sequence[str]) -> list[float | None]:
         """Return by how many seconds each view is late, None where it was not given.
@@ -182,6 +178,29 @@ class ReadingOptions:
                     option=option,
                 )
         return places
+
+
+def _pairs_joined(text: str) -> str:
+    """Write each pair of numbers as 560x180: what separates these does not separate views."""
+    joined: list[str] = []
+    first = False  # whether the part before is the first number of a pair
+    for part in text.split(","):
+        number = _is_number(part.rpartition("=")[2])
+        if first and number and "=" not in part:
+            joined[-1] = f"{joined[-1].rstrip()}x{part.strip()}"
+            first = False
+        else:
+            joined.append(part)
+            first = number
+    return ",".join(joined)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _of_views(

@@ -255,9 +255,7 @@ def write_answer(
 ) -> str | bytes:
     """Return the answer to a frame, lifted by a prior: text if it came as text, else bytes."""
     if frame.binary:
-        answered = _as_bytes(ANSWER, frame, lift, uncertainty)
-        quality = QUALITY.pack(lift.quality[0], lift.quality_reason[0])
-        return answered + quality[: quality_bytes(uncertainty)]
+        return _as_bytes(ANSWER, frame, lift, uncertainty)
     (text,) = frames_to_json(of_uncertainty(lift.arrays, uncertainty))
     answer = {
         "type": "answer",
@@ -289,4 +287,5 @@ def _as_bytes(kind: int, frame: Frame, lift: LiftedFrames, uncertainty: Uncertai
         for name in ("points3d", "outlier_probability", *ARRAYS[uncertainty])
     )
     seen = lift.keypoints_seen.tobytes().ljust(seen_bytes(lift.keypoints_seen.shape[1]), b"\0")
-    return b"".join((header, points, views.tobytes(), seen, *others))
+    quality = QUALITY.pack(lift.quality[0], lift.quality_reason[0])[: quality_bytes(uncertainty)]
+    return b"".join((header, points, views.tobytes(), seen, *others, quality))

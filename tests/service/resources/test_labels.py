@@ -46,7 +46,9 @@ def fitted(live: Live, keypoints: Any) -> str:
 def filmed(odd: int | None = None) -> Any:
     """Return keypoints (N, K, P, 2) of somebody who sways, and is squashed in one frame."""
     moments = np.arange(-LATE, FRAMES)
-    points = walk(60 + 20 * np.sin(2 * np.pi * moments / 60))
+    # Poses come again, but sooner: of a movement that repeats, a period earlier may be as true.
+    cycles = moments / 66 + (moments / 240) ** 2
+    points = walk(60 + 20 * np.sin(2 * np.pi * cycles))
     if odd is not None:
         points[odd + LATE] *= [1.0, 0.5, 1.0]
     seen = []
