@@ -62,9 +62,9 @@ def draw_film(number: int, half: str, data: Path | None = None) -> Film:
             lens.radial[view : view + 1],
         )
     keypoints, _, harms = drawn.detected(exact, lens, rng)
-    told = ", ".join(f"{frames:.1f}" for frames in late)
+    by = ", ".join(f"{frames:.1f}" for frames in late)
     text = f"{name}, {frames} frames; {'; '.join(words)}; {views} views {arrangement}; {kind}"
-    return Film(number, "; ".join((text, f"late {told}", *harms)), kind, keypoints, late)
+    return Film(number, "; ".join((text, f"late {by}", *harms)), kind, keypoints, late)
 
 
 def read_between(points: Float64, moments: Float64) -> Float64:

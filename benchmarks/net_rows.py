@@ -61,7 +61,7 @@ class Row(NamedTuple):
 
     @property
     def warned(self) -> bool:
-        """Whether a finding says that the cameras may be wrong."""
+        """Whether a finding is of cameras that may be wrong."""
         return bool(set(self.findings) & set(ABOUT_CAMERAS))
 
     @property

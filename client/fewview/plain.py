@@ -48,10 +48,11 @@ def _guarded(cell: Any) -> Any:
     if not isinstance(cell, str) or not cell or cell[0].isdigit():
         return cell
     cell = BREAKS.sub(" ", cell)
-    return f"'{cell}" if FORMULA.match(cell) and not _is_number(cell) else cell
+    return f"'{cell}" if FORMULA.match(cell) and not is_number(cell) else cell
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number as Python reads it."""
     try:
         float(text)
     except ValueError:

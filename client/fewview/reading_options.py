@@ -6,6 +6,7 @@ from math import inf, isfinite
 from typing import Any, Literal, TypeVar
 
 from fewview.errors import FormatError
+from fewview.plain import is_number
 
 Align = Literal["auto", "index", "time"]
 Person = int | str
@@ -185,7 +186,7 @@ def _pairs_joined(text: str) -> str:
     joined: list[str] = []
     first = False  # whether the part before is the first number of a pair
     for part in text.split(","):
-        number = _is_number(part.rpartition("=")[2])
+        number = is_number(part.rpartition("=")[2])
         if first and number and "=" not in part:
             joined[-1] = f"{joined[-1].rstrip()}x{part.strip()}"
             first = False
@@ -193,14 +194,6 @@ def _pairs_joined(text: str) -> str:
             joined.append(part)
             first = number
     return ",".join(joined)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _of_views(

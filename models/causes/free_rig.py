@@ -95,7 +95,7 @@ class LensBeliefs(NamedTuple):
         return cost + float(np.log1p(np.square(self.unlikeness(lenses))).sum())
 
     def unlikeness(self, lenses: Float64) -> Float64:
-        """Return how far focal lengths (K,) are from the median; 0 if nothing says they are alike.
+        """Return how far focal lengths (K,) are from the median; 0 if they need not be alike.
 
         In units of the scale of Cauchy's distribution, beside their means.
         """
