@@ -47,10 +47,10 @@ def padded(p: Float64, size: Size, _: np.random.Generator) -> Float64:
 
 
 def bent(p: Float64, size: Size, _: np.random.Generator) -> Float64:
-    """Stretch a 4:3 image to the given one, more at its sides."""
+    """Stretch the sides of an image more than its middle, as action cameras do."""
     u = p[..., 0] / size[0] * 2 - 1
     across = (u * (0.82 + 0.18 * u * u) + 1) * size[0] / 2
-    return np.stack((across, p[..., 1] * 0.75), -1)
+    return np.stack((across, p[..., 1]), -1)
 
 
 HARMS: dict[str, tuple[tuple[str, ...], Harm]] = {

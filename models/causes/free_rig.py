@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.epipolar.rig_adjustment import ALIKE
+from models.epipolar.rig_adjustment import ALIKE, without_points
 from models.epipolar.robust_points import robust_points
 from models.epipolar.static_cameras import BLIND, FREEDOM, NEAR, SeenPoints, StaticCameras
 from models.numerics.rotations import rotations_from_vectors
@@ -157,11 +157,8 @@ def _equations(
 ) -> _Equations:
     views, size = len(rig.lenses), len(rig.lenses) * CAMERA
     residuals, by_camera, by_point = _linearised(rig, points, seen, noise)
-    solved, inverse = _points_alone(residuals, by_point, np.full(points.shape[1], damping))
-    cross = np.einsum("kicm,kiam->kcam", by_camera, by_point).reshape(size, 3, -1)
-    spread = np.einsum("ram,mab->rbm", cross, inverse).reshape(size, -1)
-    scores = -np.einsum("kicm,kim->kc", by_camera, residuals)
-    cross = cross.reshape(size, -1)
+    solved, scores, cross, spread = without_points(residuals, by_camera, by_point, damping)
+    vector = scores.sum(1)
     matrix = np.zeros((views, CAMERA, views, CAMERA))
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     matrix[range(views), :, range(views), :] = rows @ rows.mT
@@ -169,14 +166,14 @@ def _equations(
     for number in range(LENS):
         matrix[:, number, :, number] += precisions[number]
     offsets = rig.lenses.T - beliefs.means
-    scores[:, :LENS] -= (precisions @ offsets[..., None])[..., 0].T
+    pulls = vector.reshape(views, CAMERA)
+    pulls[:, :LENS] -= (precisions @ offsets[..., None])[..., 0].T
     if beliefs.alike:
         weights = 2 / (1 + np.square(beliefs.unlikeness(rig.lenses))) / ALIKE**2
         centring = np.eye(views) - weights / weights.sum()
         together = centring.T @ np.diag(weights) @ centring
         matrix[:, FOCAL, :, FOCAL] += together
-        scores[:, FOCAL] -= together @ offsets[FOCAL]
-    vector = scores.ravel() - cross @ solved.ravel()
+        pulls[:, FOCAL] -= together @ offsets[FOCAL]
     return _Equations(matrix.reshape(size, size) - spread @ cross.T, vector, spread, solved)
 
 
@@ -262,11 +259,16 @@ def _seen_by(rig: FreeRig, points: Float64) -> _Images:
 
 def costs(rig: FreeRig, points: Float64, seen: SeenPoints, noise: float) -> Float64:
     """Return minus the log likelihood (M,) of all rays of each point under Student's t."""
-    shown = _seen_by(rig, points)
-    distances = np.linalg.norm(shown.images - seen.images, axis=1)
-    distances = np.where(shown.visible, distances.clip(max=BLIND), BLIND)
-    robust = (FREEDOM + 2) / 2 * np.log1p(np.square(distances / noise) / FREEDOM)
+    squared = np.square(distances(rig, points, seen) / noise)
+    robust = (FREEDOM + 2) / 2 * np.log1p(squared / FREEDOM)
     return np.asarray((seen.weights * robust).sum(0))
+
+
+def distances(rig: FreeRig, points: Float64, seen: SeenPoints) -> Float64:
+    """Return how far points (3, M) appear from where they were seen, (K, M) in sides."""
+    shown = _seen_by(rig, points)
+    found = np.linalg.norm(shown.images - seen.images, axis=1)
+    return np.where(shown.visible, found.clip(max=BLIND), BLIND)
 
 
 def _linearised(

@@ -1,7 +1,7 @@
 """What may be wrong with a view's pixels: as a prior of its lens, and as the map that undoes it."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,14 +16,22 @@ Float64 = NDArray[np.float64]
 
 SCALES = (1 / 2, 2 / 3, 2.0)
 ASPECTS = (16 / 9, 4 / 3, 3 / 4, 9 / 16)
-CROPS, CROPPED_BY = 8, 0.2  # directions of a window's corner that are tried, and sides
-ROUGHLY = 0.1  # sd of the principal point and the aspect, where a harm is tried roughly
+BENDS = (0.1, 0.18, 0.26)
+CORNERS = ((0.2, 0.2), (0.3, 0.05), (0.05, 0.3))  # of windows, in the image: where fits begin
+SURE = 3.0  # standard deviations of a lens that is roughly known
+NEAR_ASPECT, NEAR_SCALE = (
+    0.12,
+    0.15,
+)  # of the logarithms: what lenses that are roughly known are off
+LEAST_OFFSET = 0.06  # sides: a crop nearer than this does no harm
 RARE = 4.6  # nats against any harm: one view in a hundred
 RARER = 1.0  # against one that is seen less often
 FREE_OFFSET = 6.0  # what two free numbers cost beside the expected principal point
 FREE_NUMBER = 4.0
-LEAST_OFFSET = 0.06  # sides: a crop nearer than this does no harm
 LEAST_SQUARE = 1.05  # between width and height, for an image that is not square
+FRAMED = 0.4  # of half an image's width and height: how far a subject's middle is from its middle
+OUTSIDE, MOST_OUTSIDE = 50.0, 0.3  # nats against keypoints outside the image, by their share
+EDGE = 0.02  # of the width and height, that do not count as outside
 
 
 class Image(NamedTuple):
@@ -56,122 +64,153 @@ class Candidate(NamedTuple):
     nats: float  # against it, before the keypoints are seen
 
 
-def rough_ones(image: Image, view: int, before: Hypothesis) -> Iterator[tuple[str, Hypothesis]]:
-    """Yield hypotheses of a view of which one is near to whatever is wrong with it, and their kind.
-
-    The best of each kind is looked at closely.
-    """
-    middle, nowhere = image.middle_in_sides, np.zeros(2)
-    yield "mirrored", before.flipped(view).freed(view, aspect=0.0)
-    for aspect in ASPECTS:
-        there = before.moved(view, aspect=math.log(aspect), centre=nowhere)
-        yield f"stretched by {aspect:.2f}", there.freed(view, aspect=0.0, centre=ROUGHLY)
-    for scale in SCALES:
-        yield "aside", before.moved(view, centre=(scale - 1) * middle, focal=math.log(scale))
-    for angle in np.linspace(0, 2 * np.pi, CROPS, endpoint=False):
-        centre = CROPPED_BY * np.array((math.cos(angle), math.sin(angle)))
-        yield "aside", before.moved(view, centre=centre).freed(view, aspect=0.0, centre=ROUGHLY)
-
-
 def candidates(
-    image: Image, view: int, before: Hypothesis, lens: Float64, *, flipped: bool
+    image: Image,
+    view: int,
+    before: Hypothesis,
+    lens: Float64,
+    sds: Float64,
+    ratios: Iterable[float] = (),
 ) -> Iterator[Candidate]:
-    """Yield what may be wrong with a view whose lens (6,) is roughly known.
+    """Yield what may be wrong with a view whose lens (6,) is roughly known, with deviations (6,).
 
-    `flipped`: it is a mirror image.
+    `before` has its pixels evened, if they are mirrored or bent. Beside the usual scales of images,
+    these `ratios` are tried.
     """
-    middle = image.middle_in_sides
-    aspect, centre = float(lens[ASPECT]), lens[CENTRE : CENTRE + 2]
-    if flipped:
-        base = before.flipped(view)
-        yield Candidate("mirrored", view, base, {}, RARE)
+    middle, even = image.middle_in_sides, before.evens[view]
+    if even.mirrored:
+        yield Candidate("mirrored", view, before, {}, RARE)
         # Exchanged about the corner; seen here after x was mirrored about the middle.
         across = np.full(2, middle[0] - middle[1])
-        yield Candidate("axes_exchanged", view, base.moved(view, centre=across), {}, RARE + RARER)
+        for centre in (np.zeros(2), across) if image.known else (np.zeros(2),):
+            there = before.moved(view, centre=centre)
+            yield Candidate("axes_exchanged", view, there, {}, RARE + RARER)
         return
-    if abs(aspect) > 0.1:
-        yield from _stretched(image, view, before, aspect)
+    near = max(NEAR_ASPECT, SURE * float(sds[ASPECT]))
+    if even.bend or abs(lens[ASPECT]) > NEAR_ASPECT / 2:
+        yield from _stretched(image, view, before, float(lens[ASPECT]), near)
+    if abs(lens[ASPECT]) < near and not even.bend:
+        yield from _aside(image, view, before, lens[CENTRE : CENTRE + 2], ratios)
+
+
+def _aside(
+    image: Image, view: int, before: Hypothesis, centre: Float64, ratios: Iterable[float]
+) -> Iterator[Candidate]:
+    middle = image.middle_in_sides
     free = 1 + float(centre @ middle / (middle @ middle))
-    for scale, nats in ((min(SCALES, key=lambda each: abs(each - free)), 0.0), (free, FREE_NUMBER)):
-        if 0.1 < scale < 10 and abs(math.log(scale)) > 0.15:
+    for scale in {*SCALES, *ratios, free}:
+        if 0.1 < scale < 10 and abs(math.log(scale)) > NEAR_SCALE:
+            nats = RARE + (FREE_NUMBER if scale == free else 0.0)
             there = before.moved(view, centre=(scale - 1) * middle, focal=math.log(scale))
-            yield Candidate("scaled", view, there, {"scale": scale}, RARE + nats)
-    if np.hypot(*centre) > LEAST_OFFSET:
-        yield Candidate("cropped", view, before.freed(view, aspect=0.0), {}, RARE + FREE_OFFSET)
-        aside = np.array((middle[1] - middle[0], middle[0] - middle[1]))
-        if image.known and np.hypot(*aside) > LEAST_OFFSET:
-            there = before.moved(view, centre=aside)
-            yield Candidate("on_its_side", view, there, {}, RARE + RARER)
+            yield Candidate("scaled", view, there, {"scale": scale}, nats)
+    for share in CORNERS:
+        there = before.moved(view, centre=-2 * np.array(share) * middle)
+        yield Candidate("cropped", view, there.freed(view, aspect=0.0), {}, RARE + FREE_OFFSET)
+    aside = np.array((middle[1] - middle[0], middle[0] - middle[1]))
+    if image.known and np.hypot(*aside) > LEAST_OFFSET:
+        there = before.moved(view, centre=aside)
+        yield Candidate("on_its_side", view, there, {"aside": 1.0}, RARE + RARER)
 
 
-def _stretched(image: Image, view: int, before: Hypothesis, aspect: float) -> Iterator[Candidate]:
-    shape, nowhere = math.log(image.width / image.height), np.zeros(2)
-    if image.known and math.exp(abs(shape)) > LEAST_SQUARE:
+def _stretched(
+    image: Image, view: int, before: Hypothesis, aspect: float, near: float
+) -> Iterator[Candidate]:
+    shape, nowhere, bend = (
+        math.log(image.width / image.height),
+        np.zeros(2),
+        before.evens[view].bend,
+    )
+    known = {"bend": bend} if bend else {}
+    oblong = image.known and math.exp(abs(shape)) > LEAST_SQUARE
+    if oblong and not bend and abs(shape - aspect) < near:
         there = before.moved(view, aspect=shape, centre=nowhere)
         yield Candidate("padded", view, there, {"fx_over_fy": math.exp(shape)}, RARE + RARER)
-    usual = min(ASPECTS, key=lambda each: abs(math.log(each) - aspect))
-    for log, nats in ((math.log(usual), 0.0), (aspect, FREE_NUMBER)):
-        numbers = {"fx_over_fy": math.exp(log)}
+    usual = [log for log in map(math.log, ASPECTS) if abs(log - aspect) < near]
+    for log in (*usual, aspect, *([0.0] if bend else [])):
+        numbers = {"fx_over_fy": math.exp(log), **known}
+        nats = RARE + 2 * RARER + FREE_NUMBER * ((log == aspect) + bool(bend))
         # About the middle, or the longer axis made shorter about the corner.
         shrunk = np.array((min(math.exp(log), 1.0), min(math.exp(-log), 1.0)))
         for to, more in ((nowhere, {}), ((shrunk - 1) * image.middle_in_sides, {"from_corner": 1})):
             there = before.moved(view, aspect=log, centre=to)
-            yield Candidate("stretched", view, there, numbers | more, RARE + 2 * RARER + nats)
+            yield Candidate("stretched", view, there, numbers | more, nats)
 
 
-def cause_of(
-    found: Candidate, image: Image, lens: Float64, sds: Float64, turned: int, gain: float
-) -> Cause:
-    """Return the cause, with the map that undoes it; `turned` are quarter turns of the image."""
-    numbers, errors = dict(found.numbers), {}
-    right, low = 2 * image.middle[0], 2 * image.middle[1]
-    if image.known:
-        right, low = right - 1, low - 1
-    pixels, size = PixelMap(), image.size
-    x, y = image.middle
+def framing(image: Image, pixels: Float64, size: tuple[int, int] | None) -> float:
+    """Return nats against keypoints (M, 2) of an image of a size, from where they are in it.
+
+    People point cameras at their subject, and detectors find nothing outside of the image.
+    """
+    if not image.known or size is None or not len(pixels):
+        return 0.0
+    from_middle = 2 * pixels / size - 1
+    aside = float(np.square(np.median(from_middle, 0) / FRAMED).sum()) / 2
+    outside = float((np.abs(from_middle) > 1 + 2 * EDGE).any(1).mean())
+    return aside + OUTSIDE * min(outside, MOST_OUTSIDE)
+
+
+def causes_of(
+    found: Candidate, image: Image, lens: Float64, sds: Float64, turned: int
+) -> list[Cause]:
+    """Return causes with the maps that undo it; more than one if where pixels are tells them apart.
+
+    `lens` (6,) is as estimated, with deviations; `turned` are quarter turns of the image clockwise.
+    """
+    numbers, errors = dict(found.numbers), dict[str, float]()
+    cause = Cause(found.kind, found.view, numbers, errors, 0.0, PixelMap(), image.size)
     if found.kind == "cropped":
         offset = -image.side * lens[CENTRE : CENTRE + 2]
-        numbers = {"x": float(np.round(offset[0])), "y": float(np.round(offset[1]))}
-        errors = dict(zip("xy", (image.side * sds[CENTRE : CENTRE + 2]).tolist(), strict=True))
-        pixels = PixelMap(c=numbers["x"], f=numbers["y"])
-    elif found.kind == "scaled":
+        numbers |= {"x": float(np.round(offset[0])), "y": float(np.round(offset[1]))}
+        errors |= zip("xy", (image.side * sds[CENTRE : CENTRE + 2]).tolist(), strict=True)
+        return [cause._replace(map=PixelMap(c=numbers["x"], f=numbers["y"]))]
+    if found.kind == "scaled":
         times = 1 / numbers["scale"]
         shift = (times - 1) / 2
-        errors = {"scale": numbers["scale"] * float(sds[FOCAL])}
-        pixels = PixelMap(a=times, c=shift, e=times, f=shift)
-    elif found.kind in ("padded", "stretched"):
-        ratio = numbers["fx_over_fy"]
-        errors = {"fx_over_fy": ratio * float(sds[ASPECT])}
-        wide, high = (1.0, ratio) if ratio > 1 else (1 / ratio, 1.0)
-        pixels = PixelMap(a=wide, e=high)
-        if not numbers.pop("from_corner", 0.0):
-            pixels = PixelMap(a=wide, c=x - wide * x, e=high, f=y - high * y)
-    elif found.kind == "mirrored":
-        pixels = PixelMap(a=-1, c=right)
-    elif found.kind == "axes_exchanged":
-        pixels = PixelMap(a=0, b=1, d=1, e=0)
-    kind = found.kind
-    if kind in ("mirrored", "upside_down", "on_its_side") and turned:
-        pixels, size, kind = _turned(kind, turned, pixels, image)
-        if kind == "on_its_side":
-            numbers["degrees"] = 90.0 * turned
-    return Cause(kind, found.view, numbers, errors, gain, pixels, size)
+        errors["scale"] = numbers["scale"] * float(sds[FOCAL])
+        return [cause._replace(map=PixelMap(a=times, c=shift, e=times, f=shift))]
+    if found.kind in ("padded", "stretched"):
+        errors["fx_over_fy"] = numbers["fx_over_fy"] * float(sds[ASPECT])
+        return _unstretched(cause, image)
+    if found.kind == "axes_exchanged":
+        return [cause._replace(map=PixelMap(a=0, b=1, d=1, e=0))]
+    return _upright(cause, image, turned)
 
 
-def _turned(
-    kind: Kind, turned: int, pixels: PixelMap, image: Image
-) -> tuple[PixelMap, tuple[int, int] | None, Kind]:
-    """Turn an image back by quarter turns, a mirror image only by half a turn."""
+def _unstretched(cause: Cause, image: Image) -> list[Cause]:
+    """Make the shorter direction longer, or the longer one shorter with another size."""
+    numbers, (x, y) = dict(cause.numbers), image.middle
+    ratio, bend = numbers["fx_over_fy"], numbers.get("bend", 0.0)
+    wide, high = max(1 / ratio, 1.0), max(ratio, 1.0)
+    corner = numbers.pop("from_corner", 0.0)
+    shift = (0.0, 0.0) if corner else (x - wide * x, y - high * y)
+    longer = PixelMap(wide, 0, shift[0], 0, high, shift[1], bend, x, image.width / 2)
+    cause = cause._replace(numbers=numbers, map=longer)
+    if corner or cause.kind == "padded":
+        return [cause]
+    wide, high = min(1 / ratio, 1.0), min(ratio, 1.0)
+    shorter = PixelMap(wide, 0, 0, 0, high, 0, bend, x, image.width / 2)
+    size = image.size and (round(wide * image.width), round(high * image.height))
+    return [cause, cause._replace(map=shorter, size=size)]
+
+
+def _upright(cause: Cause, image: Image, turned: int) -> list[Cause]:
+    """Undo a mirror, or turn an image back by quarter turns; a mirror image by half a turn only."""
     right, low = 2 * image.middle[0], 2 * image.middle[1]
     if image.known:
         right, low = right - 1, low - 1
+    half = PixelMap(a=-1, c=right, e=-1, f=low)
+    if cause.kind == "mirrored":
+        mirror = PixelMap(a=-1, c=right)
+        return [cause._replace(map=half.after(mirror) if turned == 2 else mirror)]
     if turned == 2:
-        half = PixelMap(a=-1, c=right, e=-1, f=low)
-        return half.after(pixels), image.size, "mirrored" if kind == "mirrored" else "upside_down"
-    if kind == "mirrored":
-        return pixels, image.size, kind
-    # Turned clockwise, what was up is to the right.
+        return [cause._replace(kind="upside_down", map=half)]
+    numbers = dict(cause.numbers)
     size = image.size and (image.size[1], image.size[0])
+    if numbers.pop("aside", 0.0):  # the size is that of the image as it was filmed
+        size, right, low = image.size, low, right
+    # Turned clockwise, what was up is to the right.
+    back = PixelMap(a=0, b=-1, c=low, d=1, e=0, f=0)
     if turned == 1:
-        return PixelMap(a=0, b=1, c=0, d=-1, e=0, f=right), size, "on_its_side"
-    return PixelMap(a=0, b=-1, c=low, d=1, e=0, f=0), size, "on_its_side"
+        back = PixelMap(a=0, b=1, c=0, d=-1, e=0, f=right)
+    numbers["degrees"] = 90.0 * turned
+    return [cause._replace(numbers=numbers, map=back, size=size)]

@@ -32,7 +32,7 @@ class PixelMap(NamedTuple):
         """Return pixels (..., 2) as the camera saw them, from pixels as they came."""
         even = np.array(pixels, np.float64)
         if self.bend:
-            even[..., 0] = self.middle + self.half * _evened(
+            even[..., 0] = self.middle + self.half * evened(
                 (even[..., 0] - self.middle) / self.half, self.bend
             )
         return even @ self._matrix.T + self._shift
@@ -71,7 +71,7 @@ class PixelMap(NamedTuple):
         return np.array([self.c, self.f])
 
 
-def _evened(stretched: Float64, bend: float) -> Float64:
+def evened(stretched: Float64, bend: float) -> Float64:
     """Solve stretched = u (1 - bend + bend u^2) for u: the one root of a rising cubic (Cardano)."""
     p, q = (1 - bend) / (3 * bend), stretched / (2 * bend)
     u: Float64 = 2 * np.sqrt(p) * np.sinh(np.arcsinh(q / p**1.5) / 3)

@@ -1,12 +1,10 @@
 """Looking for causes: which hypotheses of single views' pixels explain all views best.
 
-Most captures have none, so a few points screen first: would any lens of its own explain them
-better? If so, views are freed one by one, what their free lenses show suggests causes, and each is
-held against the frames that it was not adjusted to. The best is taken, and the others are tried
-beside it.
+Most captures have none, so a few points screen first: would any lenses explain them better? If so,
+views are freed one by one, what their free lenses show suggests causes, and each is held against
+all frames. The best is taken if the cameras that it leads to stand, and the others are sought with
+its pixels mended.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,26 +12,37 @@ from models.bundle.problem import CENTRE_X
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import CalibrationProblem
 from models.causes.cause import Cause
-from models.causes.free_rig import FreeRig
-from models.causes.hypotheses import Candidate, Image, candidates, cause_of, rough_ones
-from models.causes.sightings import FEW, MANY, Sightings, Trial, roll, sightings
+from models.causes.free_rig import CENTRE, RADIAL, FreeRig
+from models.causes.hypotheses import (
+    BENDS,
+    LEAST_OFFSET,
+    Candidate,
+    Image,
+    candidates,
+    causes_of,
+    framing,
+)
+from models.causes.sightings import (
+    FEW,
+    FIRST_ITERATIONS,
+    MANY,
+    Even,
+    Sightings,
+    Trial,
+    roll,
+    sightings,
+)
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 
 LEAST_VIEWS = 3
-# A search begins if free lenses gain so many nats, or if so many speak against the lenses, some for
-# all views together and some for each.
-WORTH, ODD_LENSES, ODD_LENS = 8.0, 2.0, 1.0
+WORTH = 8.0  # nats that free lenses must gain for a search to begin
 NAMED, CLEARLY = 10.0, 6.0  # nats for a cause to be named, and beyond those of other views
-FINALISTS = 8  # of hypotheses that were tried roughly
-PROMISING = 2.0  # nats that one must gain there
+FINALISTS = 5  # causes that are tried with many points
+PROMISING = 2.0  # nats that one must gain with a few points
+HOPELESS = 500.0  # nats against a mirror image after a few steps
 TURNED = 30.0  # degrees from a quarter turn
-
-
-class _Found(NamedTuple):
-    candidate: Candidate
-    trial: Trial
-    gain: float
+UNLIKELY_TURN = 4.0  # nats against a camera that stands on its side beside the others
 
 
 def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
@@ -46,36 +55,47 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
     turned: list[Cause] = []
     left = list(range(len(problem.poses)))
     while len(left) > 1 and len(problem.poses) >= LEAST_VIEWS:
-        rig = None if problem.geometry is None else problem.geometry.rig
-        if rig is None or not rig.static.all():
+        rig = problem.geometry and problem.geometry.rig
+        stands = rig is not None and bool(rig.static.all())
+        if not stands:  # a harm may be why
+            forced = yield from geometry_of(problem, declared=True)
+            rig = forced.rig
+        if rig is None:
             break
-        cause, trial = yield from _one(problem, rig, left)
-        if cause is None:
-            turned = _turned_views(problem, trial, left)
+        cause, trial = yield from _one(problem, rig, left, stands=stands)
+        mended = None if cause is None else _without(problem, cause)
+        if cause is None or mended is None:
+            turned = _turned_views(problem, trial, left) if stands else []
+            break
+        found = yield from geometry_of(mended, declared=False)
+        if found.rig is None or not found.rig.static.all():
             break
         causes.append(cause)
         left.remove(cause.view)
-        problem = _without(problem, cause)
-        found = yield from geometry_of(problem, declared=False)
-        problem = problem._replace(geometry=found)
+        problem = mended._replace(geometry=found)
     return tuple(sorted(causes + turned, key=lambda cause: cause.view))
 
 
 def _one(
-    problem: CalibrationProblem, rig: StaticRig, left: list[int]
+    problem: CalibrationProblem, rig: StaticRig, left: list[int], *, stands: bool
 ) -> Steps[tuple[Cause | None, Trial]]:
     """Return the clearest cause of one of the views `left`, if any, and the cameras."""
     start = FreeRig.of(rig.best.rig)
     few = sightings(problem, rig.best.rig, rig.noise, FEW)
     yield
     usual = few.usual()
-    trial = few.tried(usual, [start])
-    if not (yield from _is_odd(few, trial)):
-        return None, trial
-    many = sightings(problem, rig.best.rig, rig.noise, MANY)
-    known = many.tried(usual, [trial.fit.rig, start])
-    found = yield from _best(problem, few, many, known, trial, left)
-    return (None, trial) if found is None else (_cause(problem, many, found), found.trial)
+    free = usual
+    for view in left:
+        free = free.freed(view)
+    known = few.tried(usual, [start])
+    freed = few.tried(free, [known.fit.rig])
+    if stands and known.cost - freed.cost < WORTH:
+        return None, known
+    few = few.noisy_as(freed)
+    known = few.tried(usual, [known.fit.rig])
+    many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
+    found = yield from _best(problem, few, many, known, left)
+    return found, known
 
 
 def _without(problem: CalibrationProblem, cause: Cause) -> CalibrationProblem:
@@ -97,71 +117,98 @@ def _without(problem: CalibrationProblem, cause: Cause) -> CalibrationProblem:
     return problem._replace(images=images, reference=reference)
 
 
-def _is_odd(few: Sightings, trial: Trial) -> Steps[bool]:
-    """Whether any lenses of their own, or a mirror image, may explain a few points better."""
-    views = len(trial.hypothesis.flips)
-    if trial.lenses > ODD_LENSES + ODD_LENS * views:
-        return True
-    free = trial.hypothesis
-    for view in range(views):
-        free = free.freed(view)
-    yield
-    freed = few.tried(free, [trial.fit.rig])
-    return trial.whole - freed.whole > WORTH
+def _freed(
+    problem: CalibrationProblem, few: Sightings, known: Trial, left: list[int]
+) -> Steps[list[tuple[int, Trial]]]:
+    """Return trials of a few points, each with one view's pixels free."""
+    found: list[tuple[int, Trial]] = []
+    start, usual = known.fit.rig, known.hypothesis
+    for view in left:
+        yield
+        free = usual.freed(view)
+        trial = few.tried(free, [start])
+        found.append((view, trial))
+        half = image_of(problem, view).width / 2 / problem.side
+        bends = [free.shown(view, Even(bend=bend, half=half)) for bend in BENDS]
+        bent = min((few.tried(each, [trial.fit.rig]) for each in bends), key=lambda t: t.cost)
+        if bent.cost < trial.cost - PROMISING:
+            found.append((view, bent))
+        yield
+        mirrored = usual.shown(view, Even(mirrored=True))
+        mirrored_free = mirrored.freed(view, aspect=0.0)
+        starts = few.mirror_starts(mirrored, start, view)
+        roughly = few.tried(mirrored_free, starts, iterations=FIRST_ITERATIONS)
+        if roughly.cost < known.cost + HOPELESS:
+            found.append((view, few.tried(mirrored_free, [roughly.fit.rig])))
+    return found
 
 
 def _best(
-    problem: CalibrationProblem,
-    few: Sightings,
-    many: Sightings,
-    known: Trial,
-    roughly: Trial,
-    left: list[int],
-) -> Steps[_Found | None]:
+    problem: CalibrationProblem, few: Sightings, many: Sightings, known: Trial, left: list[int]
+) -> Steps[Cause | None]:
     """Return the cause of one of the views `left` that explains the keypoints best, if any does.
 
-    `known` and `roughly` are trials of what is supposed so far, with many and few points.
+    `known` is a trial of a few points with nothing wrong.
     """
-    rough: dict[tuple[int, str], Trial] = {}
-    for view in left:
-        for kind, hypothesis in rough_ones(image_of(problem, view), view, known.hypothesis):
+    rough: dict[tuple[int, str, bool], tuple[float, Candidate, Trial]] = {}
+    for view, trial in (yield from _freed(problem, few, known, left)):
+        image, base = image_of(problem, view), known.hypothesis
+        base = base.shown(view, trial.hypothesis.evens[view])
+        sds = few.deviations(trial)[view]
+        for candidate in candidates(image, view, base, trial.fit.rig.lenses[view], sds):
             yield
-            mirror = hypothesis.flips != known.hypothesis.flips
-            starts = [known.fit.rig]
-            if mirror:
-                starts = few.mirror_starts(hypothesis, known.fit.rig, view)
-            tried = few.tried(hypothesis, starts, view=None if mirror else view)
-            best = rough.get((view, kind))
-            if best is None or tried.whole < best.whole:
-                rough[view, kind] = tried
-    found: list[_Found] = []
-    finalists = sorted(rough.items(), key=lambda item: item[1].whole)[:FINALISTS]
-    for (view, _), trial in finalists:
-        if roughly.whole - trial.whole < PROMISING:
+            tried = few.tried(candidate.hypothesis, few.starts(candidate.hypothesis, trial, view))
+            cost = tried.cost + candidate.nats
+            key = (view, candidate.kind, bool(candidate.numbers.get("from_corner")))
+            if _possible(candidate, tried) and (key not in rough or cost < rough[key][0]):
+                rough[key] = (cost, candidate, tried)
+    best = sorted(rough.values(), key=lambda each: each[0])
+    nothing = many.tried(known.hypothesis, [known.fit.rig])
+    found: list[Cause] = []
+    for cost, candidate, trial in best[:FINALISTS]:
+        if known.cost - cost < PROMISING:
             break
-        flipped = trial.hypothesis.flips != known.hypothesis.flips
-        lens, image = trial.fit.rig.lenses[view], image_of(problem, view)
-        for candidate in candidates(image, view, known.hypothesis, lens, flipped=flipped):
-            yield
-            starts = [trial.fit.rig]
-            tried = many.tried(candidate.hypothesis, starts)
-            found.append(_Found(candidate, tried, known.whole - tried.whole - candidate.nats))
-    found.sort(key=lambda each: -each.gain)
+        yield
+        tried = many.tried(candidate.hypothesis, [trial.fit.rig])
+        cause = _cause(problem, many, candidate, tried)
+        found.append(cause._replace(gain=cause.gain + nothing.cost - tried.cost - candidate.nats))
+    found.sort(key=lambda cause: -cause.gain)
     if not found or found[0].gain < NAMED:
         return None
-    best_one = found[0]
-    others = [each.gain for each in found if each.candidate.view != best_one.candidate.view]
-    unclear = best_one.gain - max(others, default=0.0) < CLEARLY
-    tested = known.cost - best_one.trial.cost - best_one.candidate.nats
-    return None if unclear or tested < NAMED / 2 else best_one._replace(gain=tested)
+    others = [cause.gain for cause in found if cause.view != found[0].view]
+    return None if found[0].gain - max(others, default=0.0) < CLEARLY else found[0]
 
 
-def _cause(problem: CalibrationProblem, many: Sightings, found: _Found) -> Cause:
-    view, trial = found.candidate.view, found.trial
+def _possible(candidate: Candidate, trial: Trial) -> bool:
+    """Whether a window's corner is inside the image, and an image on its side seen to be so."""
+    if candidate.kind == "cropped":
+        x, y = trial.fit.rig.lenses[candidate.view, CENTRE:RADIAL]
+        return bool(np.hypot(x, y) > LEAST_OFFSET and max(x, y) < LEAST_OFFSET)
+    turned = roll(trial, candidate.view)
+    if candidate.kind == "axes_exchanged":
+        return turned is None or _quarters(trial, candidate.view) % 2 == 1
+    return candidate.kind != "on_its_side" or _quarters(trial, candidate.view) % 2 == 1
+
+
+def _cause(
+    problem: CalibrationProblem, many: Sightings, candidate: Candidate, trial: Trial
+) -> Cause:
+    """Return the cause with the map that suits best, and what speaks for it beside the cameras."""
+    view, kind = candidate.view, candidate.kind
+    image, lens = image_of(problem, view), trial.fit.rig.lenses[view]
     free = trial._replace(hypothesis=trial.hypothesis.freed(view, centre=0.0))
-    sds = many.deviations(free if found.candidate.kind == "stretched" else trial)[view]
-    lens, image = trial.fit.rig.lenses[view], image_of(problem, view)
-    return cause_of(found.candidate, image, lens, sds, _quarters(trial, view), found.gain)
+    sds = many.deviations(free if kind == "stretched" else trial)[view]
+    quarters = _quarters(trial, view)
+    gain = -UNLIKELY_TURN * ((quarters % 2 == 1) != (kind in ("on_its_side", "axes_exchanged")))
+    pixels = problem.detected[:, view][problem.weights[:, view] > 0]
+    gain += framing(image, pixels, image.size)
+    return max(
+        (
+            cause._replace(gain=gain - framing(image, cause.map.mended(pixels), cause.size))
+            for cause in causes_of(candidate, image, lens, sds, quarters)
+        ),
+        key=lambda cause: cause.gain,
+    )
 
 
 def image_of(problem: CalibrationProblem, view: int) -> Image:
@@ -185,11 +232,11 @@ def _turned_views(problem: CalibrationProblem, trial: Trial, left: list[int]) ->
     """Return the views whose images are turned, most of the others not."""
     quarters = {view: _quarters(trial, view) for view in left}
     turned = [view for view, count in quarters.items() if count]
-    if 2 * len(turned) >= len(trial.hypothesis.flips):
+    if 2 * len(turned) >= len(trial.hypothesis.evens):
         return []
     found = []
     for view in turned:
         candidate = Candidate("on_its_side", view, trial.hypothesis, {}, 0.0)
         lens = trial.fit.rig.lenses[view]
-        found.append(cause_of(candidate, image_of(problem, view), lens, lens, quarters[view], 0.0))
+        found += causes_of(candidate, image_of(problem, view), lens, lens, quarters[view])
     return found

@@ -1,5 +1,6 @@
 """The keypoints that hypotheses are judged by: some frames to adjust cameras to, others to test."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,10 +16,12 @@ from models.causes.free_rig import (
     FreeRig,
     LensBeliefs,
     adjust,
+    distances,
     lens_deviations,
     located,
     settled,
 )
+from models.causes.pixel_map import evened
 from models.epipolar.affine_rigs import affine_rigs
 from models.epipolar.pairs import Beliefs
 from models.epipolar.robust_points import robust_points
@@ -27,19 +30,36 @@ from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_
 Float64 = NDArray[np.float64]
 
 FEW, MANY = 250, 1000  # points of either half of the frames
-ITERATIONS, COOLED_ITERATIONS = 12, 8
-WARM, WARMEST = 20.0, 0.03  # times the noise, and of the subject's radius: where hypotheses begin
+ITERATIONS, FIRST_ITERATIONS = 60, 8
 WILD = 4.0  # times the median distance: larger ones count as this
-LEAST_NOISE, LEAST_SHARE = 3e-4, 0.005  # sides, and of the subject's radius: what models leave
+LEAST_NOISE, LEAST_SHARE = 3e-4, 0.01  # sides, and of the subject's radius: what models leave
 # Standard deviations of what a hypothesis frees: log fx / fy, principal point in sides.
 FREE_ASPECT, FREE_CENTRE, FREE_FOCAL = 0.4, 0.4, 0.5
+
+
+class Even(NamedTuple):
+    """How x of a view becomes that of an image whose pixels are alike, about its middle."""
+
+    mirrored: bool = False
+    bend: float = 0.0  # as in `PixelMap`
+    half: float = 1.0  # sides, half of the image's width
+
+    def of(self, images: Float64) -> Float64:
+        """Return images (2, M), in sides from the expected principal point."""
+        x = images[0]
+        if self.bend:
+            x = self.half * evened(x / self.half, self.bend)
+        return np.stack((-x if self.mirrored else x, images[1]))
+
+
+AS_IT_IS = Even()
 
 
 class Hypothesis(NamedTuple):
     """What is supposed of the pixels of K views."""
 
     beliefs: LensBeliefs
-    flips: tuple[bool, ...]  # which views are mirror images
+    evens: tuple[Even, ...]
 
     def freed(self, view: int, aspect: float = FREE_ASPECT, centre: float = FREE_CENTRE) -> Self:
         """Return it with any shape of pixels and any principal point in a view, within sds."""
@@ -57,10 +77,9 @@ class Hypothesis(NamedTuple):
             beliefs = beliefs.moved(view, CENTRE + axis, float(centre[axis]))
         return self._replace(beliefs=beliefs)
 
-    def flipped(self, view: int) -> Self:
-        """Return it with a view mirrored, or not any more."""
-        flips = tuple(flip != (place == view) for place, flip in enumerate(self.flips))
-        return self._replace(flips=flips)
+    def shown(self, view: int, even: Even) -> Self:
+        """Return it with other pixels of a view."""
+        return self._replace(evens=(*self.evens[:view], even, *self.evens[view + 1 :]))
 
 
 class Trial(NamedTuple):
@@ -68,19 +87,7 @@ class Trial(NamedTuple):
 
     hypothesis: Hypothesis
     fit: FreeFit
-    train: float  # nats, minus the log likelihood of the frames that it was adjusted to
-    test: float  # of the others
-    lenses: float  # minus the log prior of its lenses
-
-    @property
-    def cost(self) -> float:
-        """Nats against it, of the frames that it was not adjusted to."""
-        return self.test + self.lenses
-
-    @property
-    def whole(self) -> float:
-        """Nats against it, of all frames."""
-        return self.train + self.test + self.lenses
+    cost: float  # nats, minus the log likelihood of all points and the log prior of the lenses
 
 
 class Sightings(NamedTuple):
@@ -101,35 +108,37 @@ class Sightings(NamedTuple):
         covariances = np.stack(
             (expected.focal_covariance, square, centre, centre, *expected.radial_covariance)
         )
-        return Hypothesis(LensBeliefs(means, covariances, expected.alike), (False,) * views)
+        return Hypothesis(LensBeliefs(means, covariances, expected.alike), (AS_IT_IS,) * views)
 
     def tried(
-        self, hypothesis: Hypothesis, starts: list[FreeRig], *, view: int | None = None
+        self, hypothesis: Hypothesis, starts: Sequence[FreeRig], *, iterations: int = ITERATIONS
     ) -> Trial:
-        """Adjust cameras from all starts to one half; test the best on the other.
-
-        With a `view`, its lens begins where it is supposed to be, with more noise at first.
-        """
-        train, test = (_flipped(seen, hypothesis.flips) for seen in (self.train, self.test))
+        """Adjust cameras to one half of the frames, from the best of the starts; test the other."""
+        train, test = (_even(seen, hypothesis.evens) for seen in (self.train, self.test))
         beliefs, fits = hypothesis.beliefs, []
         for start in starts:
-            rig, points = start, located(start, train, self.noise)
-            if view is not None:
-                image = np.median(train.images[view][:, train.weights[view] > 0], 1)
-                rig = rig.refocused(view, beliefs.means[:, view], points, image)
-                points = located(rig, train, WARM * self.noise)
-                warm = max(self.noise, min(WARM * self.noise, WARMEST * self.size))
-                first = adjust(rig, points, train, beliefs, warm, iterations=COOLED_ITERATIONS)
-                rig, points = first.rig, first.points
-            fits.append(adjust(rig, points, train, beliefs, self.noise, iterations=ITERATIONS))
+            points = located(start, train, self.noise)
+            short = iterations if len(starts) == 1 else FIRST_ITERATIONS
+            fits.append(adjust(start, points, train, beliefs, self.noise, iterations=short))
         best = min(fits, key=lambda fit: fit.cost)
-        lenses = beliefs.cost(best.rig.lenses)
+        if len(starts) > 1:
+            best = adjust(best.rig, best.points, train, beliefs, self.noise, iterations=iterations)
         tested = float(settled(best.rig, test, self.noise).sum())
-        return Trial(hypothesis, best, best.cost - lenses, tested, lenses)
+        return Trial(hypothesis, best, best.cost + tested)
+
+    def starts(self, hypothesis: Hypothesis, near: Trial, view: int) -> list[FreeRig]:
+        """Return starts for a view whose lens is supposed elsewhere than in a trial."""
+        rig, expected = near.fit.rig, hypothesis.beliefs.means[:, view]
+        seen = _even(self.train, hypothesis.evens)
+        image = np.median(seen.images[view][:, seen.weights[view] > 0], 1)
+        as_found = expected.copy()
+        as_found[FOCAL] = rig.lenses[view, FOCAL]
+        moved = [rig.refocused(view, lens, near.fit.points, image) for lens in (as_found, expected)]
+        return [rig, *moved]
 
     def mirror_starts(self, hypothesis: Hypothesis, known: FreeRig, view: int) -> list[FreeRig]:
         """Return starts for a view that was mirrored: from afar it looks from the other side."""
-        train = _flipped(self.train, hypothesis.flips)
+        train = _even(self.train, hypothesis.evens)
         points = located(known, self.train, self.noise)
         middle, turn = np.median(points, 1), np.diag([-1.0, 1.0, -1.0])
         held = known.rotations[view] @ middle + known.translations[view]
@@ -143,9 +152,15 @@ class Sightings(NamedTuple):
         near = behind.refocused(view, usual[view], points, image)
         return [near, *(FreeRig.of(rig) for rig in affine_rigs(train, self.expected))]
 
+    def noisy_as(self, trial: Trial) -> Self:
+        """Return it with the noise that a trial leaves."""
+        train = _even(self.train, trial.hypothesis.evens)
+        left = distances(trial.fit.rig, trial.fit.points, train)
+        return self._replace(noise=_noise(left, train.weights > 0, self.size))
+
     def deviations(self, trial: Trial) -> Float64:
         """Return standard deviations (K, 6) of the lenses of a trial."""
-        train = _flipped(self.train, trial.hypothesis.flips)
+        train = _even(self.train, trial.hypothesis.evens)
         return lens_deviations(trial.fit, train, trial.hypothesis.beliefs, self.noise)
 
 
@@ -163,12 +178,18 @@ def sightings(
         for part in (order[:half], order[half:])
     )
     points = robust_points(rig, train, np.full(len(sizes), noise))
-    distances, there = distances_of(rig, points, train), train.weights > 0
-    distances = np.minimum(distances[there], WILD * np.median(distances[there]))
+    size = float(np.median(sizes))
+    found = _noise(distances_of(rig, points, train), train.weights > 0, size)
+    return Sightings(train, test, found, size, expected)
+
+
+def _noise(distances: Float64, there: NDArray[np.bool_], size: float) -> float:
+    """Return the standard deviation of a coordinate from the distances (K, M) of rays."""
     left = max(0.1, (2 * there.sum() - 3 * there.shape[1]) / (2 * there.sum()))
-    found = float(np.sqrt(np.square(distances).mean() / 2 / left))
-    least = min(LEAST_NOISE, LEAST_SHARE * float(np.median(sizes)))
-    return Sightings(train, test, max(found, least), float(np.median(sizes)), expected)
+    seen = distances[there]
+    seen = np.minimum(seen, WILD * np.median(seen))
+    found = float(np.sqrt(np.square(seen).mean() / 2 / left))
+    return max(found, min(LEAST_NOISE, LEAST_SHARE * size))
 
 
 def _points(images: Float64, weights: Float64, rng: np.random.Generator, most: int) -> SeenPoints:
@@ -183,12 +204,11 @@ def _points(images: Float64, weights: Float64, rng: np.random.Generator, most: i
     )
 
 
-def _flipped(seen: SeenPoints, flips: tuple[bool, ...]) -> SeenPoints:
-    if not any(flips):
+def _even(seen: SeenPoints, evens: tuple[Even, ...]) -> SeenPoints:
+    if all(even == AS_IT_IS for even in evens):
         return seen
-    images = seen.images.copy()
-    images[list(flips), 0] *= -1
-    return seen._replace(images=images)
+    shown = [even.of(images) for images, even in zip(seen.images, evens, strict=True)]
+    return seen._replace(images=np.stack(shown))
 
 
 def roll(trial: Trial, view: int) -> float | None:

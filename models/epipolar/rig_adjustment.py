@@ -242,13 +242,10 @@ def reduced_equations(
     damping: float,
 ) -> CameraEquations:
     """Return the normal equations of the cameras about a rig and its points (3, M)."""
-    views, count = seen.weights.shape
+    views = len(seen.weights)
     residuals, by_camera, by_point = linearised(rig, points, seen, noise)
-    inverse, solved = np.empty((3, 3, count)), np.empty((3, count))
-    _solve_points(residuals, by_point, damping, inverse, solved)
+    solved, scores, cross, spread = without_points(residuals, by_camera, by_point, damping)
     size = views * CAMERA
-    scores, cross, spread = (np.empty((size, *shape, count)) for shape in ((), (3,), (3,)))
-    _eliminate_points(residuals, by_camera, by_point, inverse, solved, scores, cross, spread)
     rows = by_camera.transpose(0, 2, 1, 3).reshape(views, CAMERA, -1)
     information = np.zeros((views, CAMERA, views, CAMERA))
     information[range(views), :, range(views), :] = rows @ rows.mT
@@ -256,8 +253,23 @@ def reduced_equations(
     information[:, :LENS, :, :LENS] += prior.precision
     whole, vector = information.reshape(size, size), scores.sum(1)
     vector.reshape(views, CAMERA)[:, :LENS] -= prior.gradient
-    cross, spread = cross.reshape(size, -1), spread.reshape(size, -1)
     return CameraEquations(scores, whole, vector, cross, spread, solved)
+
+
+def without_points(
+    residuals: Float64, by_camera: Float64, by_point: Float64, damping: float
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """Eliminate the points from residuals (K, 2, M) and derivatives (K, 2, C, M), (K, 2, 3, M).
+
+    Returns the points' own step (3, M), scores (C K, M), cross and spread (C K, 3 M), as in
+    `CameraEquations`.
+    """
+    size, count = by_camera.shape[0] * by_camera.shape[2], residuals.shape[2]
+    inverse, solved = np.empty((3, 3, count)), np.empty((3, count))
+    _solve_points(residuals, by_point, damping, inverse, solved)
+    scores, cross, spread = (np.empty((size, *shape, count)) for shape in ((), (3,), (3,)))
+    _eliminate_points(residuals, by_camera, by_point, inverse, solved, scores, cross, spread)
+    return solved, scores, cross.reshape(size, -1), spread.reshape(size, -1)
 
 
 @compiled
@@ -297,14 +309,14 @@ def _eliminate_points(
     cross: Float64,
     spread: Float64,
 ) -> None:
-    """Write scores (11 K, M), and products (11 K, 3, M) of derivatives without and with inverses.
+    """Write scores (C K, M), and products (C K, 3, M) of derivatives without and with inverses.
 
     The innermost loops run along the points, where arrays are contiguous.
     """
-    views, count = len(residuals), residuals.shape[2]
+    views, numbers, count = len(residuals), by_camera.shape[2], residuals.shape[2]
     for k in range(views):
-        for c in range(CAMERA):
-            row = k * CAMERA + c
+        for c in range(numbers):
+            row = k * numbers + c
             for m in range(count):
                 first, other = by_camera[k, 0, c, m], by_camera[k, 1, c, m]
                 x = first * by_point[k, 0, 0, m] + other * by_point[k, 1, 0, m]
