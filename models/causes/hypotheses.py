@@ -18,11 +18,7 @@ SCALES = (1 / 2, 2 / 3, 2.0)
 ASPECTS = (16 / 9, 4 / 3, 3 / 4, 9 / 16)
 BENDS = (0.1, 0.18, 0.26)
 CORNERS = ((0.2, 0.2), (0.3, 0.05), (0.05, 0.3))  # of windows, in the image: where fits begin
-SURE = 3.0  # standard deviations of a lens that is roughly known
-NEAR_ASPECT, NEAR_SCALE = (
-    0.12,
-    0.15,
-)  # of the logarithms: what lenses that are roughly known are off
+LEAST_ASPECT, LEAST_SCALE = 0.06, 0.15  # logarithms: less does little harm
 LEAST_OFFSET = 0.06  # sides: a crop nearer than this does no harm
 RARE = 4.6  # nats against any harm: one view in a hundred
 RARER = 1.0  # against one that is seen less often
@@ -69,13 +65,12 @@ def candidates(
     view: int,
     before: Hypothesis,
     lens: Float64,
-    sds: Float64,
     ratios: Iterable[float] = (),
 ) -> Iterator[Candidate]:
-    """Yield what may be wrong with a view whose lens (6,) is roughly known, with deviations (6,).
+    """Yield what may be wrong with a view whose lens (6,) is roughly known.
 
     `before` has its pixels evened, if they are mirrored or bent. Beside the usual scales of images,
-    these `ratios` are tried.
+    these `ratios` are tried. A rough fit may stop on the way, so it shows a direction alone.
     """
     middle, even = image.middle_in_sides, before.evens[view]
     if even.mirrored:
@@ -86,10 +81,9 @@ def candidates(
             there = before.moved(view, centre=centre)
             yield Candidate("axes_exchanged", view, there, {}, RARE + RARER)
         return
-    near = max(NEAR_ASPECT, SURE * float(sds[ASPECT]))
-    if even.bend or abs(lens[ASPECT]) > NEAR_ASPECT / 2:
-        yield from _stretched(image, view, before, float(lens[ASPECT]), near)
-    if abs(lens[ASPECT]) < near and not even.bend:
+    if even.bend or abs(lens[ASPECT]) > LEAST_ASPECT:
+        yield from _stretched(image, view, before, float(lens[ASPECT]))
+    if not even.bend:
         yield from _aside(image, view, before, lens[CENTRE : CENTRE + 2], ratios)
 
 
@@ -99,7 +93,7 @@ def _aside(
     middle = image.middle_in_sides
     free = 1 + float(centre @ middle / (middle @ middle))
     for scale in {*SCALES, *ratios, free}:
-        if 0.1 < scale < 10 and abs(math.log(scale)) > NEAR_SCALE:
+        if 0.1 < scale < 10 and abs(math.log(scale)) > LEAST_SCALE:
             nats = RARE + (FREE_NUMBER if scale == free else 0.0)
             there = before.moved(view, centre=(scale - 1) * middle, focal=math.log(scale))
             yield Candidate("scaled", view, there, {"scale": scale}, nats)
@@ -112,20 +106,15 @@ def _aside(
         yield Candidate("on_its_side", view, there, {"aside": 1.0}, RARE + RARER)
 
 
-def _stretched(
-    image: Image, view: int, before: Hypothesis, aspect: float, near: float
-) -> Iterator[Candidate]:
-    shape, nowhere, bend = (
-        math.log(image.width / image.height),
-        np.zeros(2),
-        before.evens[view].bend,
-    )
+def _stretched(image: Image, view: int, before: Hypothesis, aspect: float) -> Iterator[Candidate]:
+    shape, nowhere = math.log(image.width / image.height), np.zeros(2)
+    bend = before.evens[view].bend
     known = {"bend": bend} if bend else {}
     oblong = image.known and math.exp(abs(shape)) > LEAST_SQUARE
-    if oblong and not bend and abs(shape - aspect) < near:
+    if oblong and not bend and shape * aspect > 0:
         there = before.moved(view, aspect=shape, centre=nowhere)
         yield Candidate("padded", view, there, {"fx_over_fy": math.exp(shape)}, RARE + RARER)
-    usual = [log for log in map(math.log, ASPECTS) if abs(log - aspect) < near]
+    usual = [log for log in map(math.log, ASPECTS) if log * aspect > 0]
     for log in (*usual, aspect, *([0.0] if bend else [])):
         numbers = {"fx_over_fy": math.exp(log), **known}
         nats = RARE + 2 * RARER + FREE_NUMBER * ((log == aspect) + bool(bend))

@@ -6,6 +6,8 @@ all frames. The best is taken if the cameras that it leads to stand, and the oth
 its pixels mended.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from models.bundle.problem import CENTRE_X
@@ -26,23 +28,52 @@ from models.causes.sightings import (
     FEW,
     FIRST_ITERATIONS,
     MANY,
+    ROUGH_ITERATIONS,
     Even,
     Sightings,
     Trial,
-    roll,
     sightings,
 )
+from models.causes.upright import QUARTER, quarter_turns
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 
 LEAST_VIEWS = 3
 WORTH = 8.0  # nats that free lenses must gain for a search to begin
-NAMED, CLEARLY = 10.0, 6.0  # nats for a cause to be named, and beyond those of other views
-FINALISTS = 5  # causes that are tried with many points
+NAMED = 10.0  # nats for a cause to be named
+CLEARLY, CLEAR = 6.0, 0.2  # nats beyond those of other views, and as a share of all
+FINALISTS, FINALS = 7, 3  # causes that are tried with many points, and by all cameras anew
 PROMISING = 2.0  # nats that one must gain with a few points
-HOPELESS = 500.0  # nats against a mirror image after a few steps
-TURNED = 30.0  # degrees from a quarter turn
-UNLIKELY_TURN = 4.0  # nats against a camera that stands on its side beside the others
+HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones
+EXPLAINED = 0.5  # least share of what free lenses of all views gain
+TURNED = ("on_its_side", "axes_exchanged")
+
+
+class _Found(NamedTuple):
+    """A cause of one view, and how well all views are explained with it."""
+
+    cause: Cause
+    candidate: Candidate
+    trial: Trial
+
+
+class _Trial(NamedTuple):
+    """A hypothesis of one view, tried with a few points."""
+
+    cost: float  # nats, with those against the hypothesis
+    candidate: Candidate
+    trial: Trial
+
+
+class _Search(NamedTuple):
+    """What causes are held against."""
+
+    problem: CalibrationProblem
+    few: Sightings
+    many: Sightings
+    known: Trial  # of a few points, with nothing wrong
+    freed: Trial  # the same with any lenses
+    left: list[int]  # the views that have no cause yet
 
 
 def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
@@ -62,40 +93,90 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
             rig = forced.rig
         if rig is None:
             break
-        cause, trial = yield from _one(problem, rig, left, stands=stands)
-        mended = None if cause is None else _without(problem, cause)
-        if cause is None or mended is None:
-            turned = _turned_views(problem, trial, left) if stands else []
+        start = FreeRig.of(rig.best.rig)
+        few = sightings(problem, rig.best.rig, rig.noise, FEW)
+        yield
+        usual = few.usual()
+        known = few.tried(usual, [start])
+        freed = few.tried(usual.freed(*left), [known.fit.rig])
+        found = None
+        odd = not stands or known.cost - freed.cost > WORTH
+        if odd:
+            few = few.noisy_as(freed)
+            many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
+            known = few.tried(usual, [known.fit.rig])
+            search = _Search(problem, few, many, known, freed, left)
+            found = yield from _clearest(search)
+        if found is None:
+            turned = [] if odd else _turned_views(problem, known, left)
             break
-        found = yield from geometry_of(mended, declared=False)
-        if found.rig is None or not found.rig.static.all():
-            break
+        cause, problem = found
         causes.append(cause)
         left.remove(cause.view)
-        problem = mended._replace(geometry=found)
     return tuple(sorted(causes + turned, key=lambda cause: cause.view))
 
 
-def _one(
-    problem: CalibrationProblem, rig: StaticRig, left: list[int], *, stands: bool
-) -> Steps[tuple[Cause | None, Trial]]:
-    """Return the clearest cause of one of the views `left`, if any, and the cameras."""
-    start = FreeRig.of(rig.best.rig)
-    few = sightings(problem, rig.best.rig, rig.noise, FEW)
-    yield
-    usual = few.usual()
-    free = usual
-    for view in left:
-        free = free.freed(view)
-    known = few.tried(usual, [start])
-    freed = few.tried(free, [known.fit.rig])
-    if stands and known.cost - freed.cost < WORTH:
-        return None, known
-    few = few.noisy_as(freed)
-    known = few.tried(usual, [known.fit.rig])
-    many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
-    found = yield from _best(problem, few, many, known, left)
-    return found, known
+def _clearest(search: _Search) -> Steps[tuple[Cause, CalibrationProblem] | None]:
+    """Return the cause that explains the keypoints best, and the problem without it.
+
+    The cameras are found from the start for the best cause of each view, for what was found step by
+    step may be a wrong minimum. They must stand.
+    """
+    many, known = search.many, search.known
+    nothing = many.tried(known.hypothesis, [known.fit.rig])
+    freed = many.tried(search.freed.hypothesis, [search.freed.fit.rig])
+    usual = nothing.cost + quarter_turns(nothing.fit.rig.rotations)[1]
+    least = max(NAMED, EXPLAINED * (nothing.cost - freed.cost))
+    likely = yield from _likely(search)
+    settled: dict[tuple[int, str], list[_Found]] = {}
+    for each in likely[:FINALISTS]:
+        yield
+        found = _settled(search, each.candidate, [each.trial.fit.rig], usual)
+        settled.setdefault((found.cause.view, found.cause.kind), []).append(found)
+    best = sorted((max(some, key=_gain) for some in settled.values()), key=_gain, reverse=True)
+    finals: list[tuple[_Found, CalibrationProblem]] = []
+    for found in best[:FINALS]:
+        problem = yield from _standing(search, found.cause)
+        if problem is None or problem.geometry is None or problem.geometry.rig is None:
+            continue
+        again = []
+        for each in likely:
+            if (each.candidate.view, each.candidate.kind) == (found.cause.view, found.cause.kind):
+                yield
+                start = _harmed(problem.geometry.rig, found, each.candidate, known)
+                again.append(_settled(search, each.candidate, [start], usual))
+        finals.append((max(again, key=_gain), problem))
+    if not finals:
+        return None
+    found, problem = max(finals, key=lambda final: _gain(final[0]))
+    others = [_gain(other) for other, _ in finals if other.cause.view != found.cause.view]
+    clear = _gain(found) - max(others, default=0.0)
+    if _gain(found) < least or clear < max(CLEARLY, CLEAR * _gain(found)):
+        return None
+    standing = yield from _standing(search, found.cause)
+    return None if standing is None else (found.cause, standing)
+
+
+def _gain(found: _Found) -> float:
+    return found.cause.gain
+
+
+def _standing(search: _Search, cause: Cause) -> Steps[CalibrationProblem | None]:
+    """Return the problem with a cause undone, with its geometry; None if a camera is left out."""
+    problem = _without(search.problem, cause)
+    geometry = yield from geometry_of(problem, declared=False)
+    stands = geometry.rig is not None and geometry.rig.static.all()
+    return problem._replace(geometry=geometry) if stands else None
+
+
+def _harmed(rig: StaticRig, found: _Found, candidate: Candidate, known: Trial) -> FreeRig:
+    """Return the cameras of mended pixels with the lenses that a candidate expects."""
+    lens = candidate.hypothesis.beliefs.means - known.hypothesis.beliefs.means
+    if found.cause.kind == "cropped":
+        view = found.cause.view
+        lens[CENTRE:RADIAL, view] = found.trial.fit.rig.lenses[view, CENTRE:RADIAL]
+    mended = FreeRig.of(rig.best.rig)
+    return mended._replace(lenses=mended.lenses + lens.T)
 
 
 def _without(problem: CalibrationProblem, cause: Cause) -> CalibrationProblem:
@@ -117,18 +198,17 @@ def _without(problem: CalibrationProblem, cause: Cause) -> CalibrationProblem:
     return problem._replace(images=images, reference=reference)
 
 
-def _freed(
-    problem: CalibrationProblem, few: Sightings, known: Trial, left: list[int]
-) -> Steps[list[tuple[int, Trial]]]:
+def _freed(search: _Search) -> Steps[list[tuple[int, Trial]]]:
     """Return trials of a few points, each with one view's pixels free."""
     found: list[tuple[int, Trial]] = []
+    few, known = search.few, search.known
     start, usual = known.fit.rig, known.hypothesis
-    for view in left:
+    for view in search.left:
         yield
         free = usual.freed(view)
         trial = few.tried(free, [start])
         found.append((view, trial))
-        half = image_of(problem, view).width / 2 / problem.side
+        half = image_of(search.problem, view).width / 2 / search.problem.side
         bends = [free.shown(view, Even(bend=bend, half=half)) for bend in BENDS]
         bent = min((few.tried(each, [trial.fit.rig]) for each in bends), key=lambda t: t.cost)
         if bent.cost < trial.cost - PROMISING:
@@ -138,56 +218,46 @@ def _freed(
         mirrored_free = mirrored.freed(view, aspect=0.0)
         starts = few.mirror_starts(mirrored, start, view)
         roughly = few.tried(mirrored_free, starts, iterations=FIRST_ITERATIONS)
-        if roughly.cost < known.cost + HOPELESS:
+        if roughly.cost < 2 * known.cost + HOPELESS:
             found.append((view, few.tried(mirrored_free, [roughly.fit.rig])))
     return found
 
 
-def _best(
-    problem: CalibrationProblem, few: Sightings, many: Sightings, known: Trial, left: list[int]
-) -> Steps[Cause | None]:
-    """Return the cause of one of the views `left` that explains the keypoints best, if any does.
-
-    `known` is a trial of a few points with nothing wrong.
-    """
-    rough: dict[tuple[int, str, bool], tuple[float, Candidate, Trial]] = {}
-    for view, trial in (yield from _freed(problem, few, known, left)):
-        image, base = image_of(problem, view), known.hypothesis
+def _likely(search: _Search) -> Steps[list[_Trial]]:
+    """Return the hypotheses that explain a few points best, the best first."""
+    few, known = search.few, search.known
+    found: list[_Trial] = []
+    widths = search.problem.images.sizes[search.problem.images.known, 0].tolist()
+    for view, trial in (yield from _freed(search)):
+        image, base = image_of(search.problem, view), known.hypothesis
+        ratios = {width / image.width for width in widths if image.known}
         base = base.shown(view, trial.hypothesis.evens[view])
-        sds = few.deviations(trial)[view]
-        for candidate in candidates(image, view, base, trial.fit.rig.lenses[view], sds):
+        lens = trial.fit.rig.lenses[view]
+        for candidate in candidates(image, view, base, lens, ratios):
             yield
-            tried = few.tried(candidate.hypothesis, few.starts(candidate.hypothesis, trial, view))
-            cost = tried.cost + candidate.nats
-            key = (view, candidate.kind, bool(candidate.numbers.get("from_corner")))
-            if _possible(candidate, tried) and (key not in rough or cost < rough[key][0]):
-                rough[key] = (cost, candidate, tried)
-    best = sorted(rough.values(), key=lambda each: each[0])
-    nothing = many.tried(known.hypothesis, [known.fit.rig])
-    found: list[Cause] = []
-    for cost, candidate, trial in best[:FINALISTS]:
-        if known.cost - cost < PROMISING:
-            break
-        yield
-        tried = many.tried(candidate.hypothesis, [trial.fit.rig])
-        cause = _cause(problem, many, candidate, tried)
-        found.append(cause._replace(gain=cause.gain + nothing.cost - tried.cost - candidate.nats))
-    found.sort(key=lambda cause: -cause.gain)
-    if not found or found[0].gain < NAMED:
-        return None
-    others = [cause.gain for cause in found if cause.view != found[0].view]
-    return None if found[0].gain - max(others, default=0.0) < CLEARLY else found[0]
+            starts = few.starts(candidate.hypothesis, trial, view)
+            tried = few.tried(candidate.hypothesis, starts, iterations=ROUGH_ITERATIONS)
+            if _possible(candidate, tried):
+                found.append(_Trial(tried.cost + candidate.nats, candidate, tried))
+    found.sort(key=lambda each: each.cost)
+    return [each for each in found if known.cost - each.cost > PROMISING]
+
+
+def _settled(search: _Search, candidate: Candidate, starts: list[FreeRig], usual: float) -> _Found:
+    """Try a hypothesis with many points; `usual` are the nats against them with nothing wrong."""
+    trial = search.many.tried(candidate.hypothesis, starts)
+    cause = _cause(search.problem, search.many, candidate, trial)
+    gain = cause.gain + usual - trial.cost - candidate.nats
+    return _Found(cause._replace(gain=gain), candidate, trial)
 
 
 def _possible(candidate: Candidate, trial: Trial) -> bool:
-    """Whether a window's corner is inside the image, and an image on its side seen to be so."""
+    """Whether a window's corner is inside the image, and an image that is turned seen to be so."""
     if candidate.kind == "cropped":
         x, y = trial.fit.rig.lenses[candidate.view, CENTRE:RADIAL]
         return bool(np.hypot(x, y) > LEAST_OFFSET and max(x, y) < LEAST_OFFSET)
-    turned = roll(trial, candidate.view)
-    if candidate.kind == "axes_exchanged":
-        return turned is None or _quarters(trial, candidate.view) % 2 == 1
-    return candidate.kind != "on_its_side" or _quarters(trial, candidate.view) % 2 == 1
+    turned = quarter_turns(trial.fit.rig.rotations)[0][candidate.view] % 2 == 1
+    return bool(turned == (candidate.kind in TURNED)) or candidate.kind not in (*TURNED, "mirrored")
 
 
 def _cause(
@@ -198,14 +268,13 @@ def _cause(
     image, lens = image_of(problem, view), trial.fit.rig.lenses[view]
     free = trial._replace(hypothesis=trial.hypothesis.freed(view, centre=0.0))
     sds = many.deviations(free if kind == "stretched" else trial)[view]
-    quarters = _quarters(trial, view)
-    gain = -UNLIKELY_TURN * ((quarters % 2 == 1) != (kind in ("on_its_side", "axes_exchanged")))
+    quarters, against = quarter_turns(trial.fit.rig.rotations)
     pixels = problem.detected[:, view][problem.weights[:, view] > 0]
-    gain += framing(image, pixels, image.size)
+    gain = QUARTER * (kind in TURNED) - against + framing(image, pixels, image.size)
     return max(
         (
             cause._replace(gain=gain - framing(image, cause.map.mended(pixels), cause.size))
-            for cause in causes_of(candidate, image, lens, sds, quarters)
+            for cause in causes_of(candidate, image, lens, sds, int(quarters[view]))
         ),
         key=lambda cause: cause.gain,
     )
@@ -219,19 +288,10 @@ def image_of(problem: CalibrationProblem, view: int) -> Image:
     return Image(width, height, (x, y), problem.side, bool(images.known[view]))
 
 
-def _quarters(trial: Trial, view: int) -> int:
-    """Return by how many quarter turns a view's image is turned clockwise beside the others'."""
-    degrees = roll(trial, view)
-    if degrees is None:
-        return 0
-    quarters = round(degrees / 90)
-    return quarters % 4 if abs(degrees - 90 * quarters) < TURNED else 0
-
-
 def _turned_views(problem: CalibrationProblem, trial: Trial, left: list[int]) -> list[Cause]:
     """Return the views whose images are turned, most of the others not."""
-    quarters = {view: _quarters(trial, view) for view in left}
-    turned = [view for view, count in quarters.items() if count]
+    quarters = quarter_turns(trial.fit.rig.rotations)[0].tolist()
+    turned = [view for view in left if quarters[view]]
     if 2 * len(turned) >= len(trial.hypothesis.evens):
         return []
     found = []

@@ -30,7 +30,7 @@ from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_
 Float64 = NDArray[np.float64]
 
 FEW, MANY = 250, 1000  # points of either half of the frames
-ITERATIONS, FIRST_ITERATIONS = 60, 8
+ITERATIONS, ROUGH_ITERATIONS, FIRST_ITERATIONS = 60, 40, 8
 WILD = 4.0  # times the median distance: larger ones count as this
 LEAST_NOISE, LEAST_SHARE = 3e-4, 0.01  # sides, and of the subject's radius: what models leave
 # Standard deviations of what a hypothesis frees: log fx / fy, principal point in sides.
@@ -61,13 +61,14 @@ class Hypothesis(NamedTuple):
     beliefs: LensBeliefs
     evens: tuple[Even, ...]
 
-    def freed(self, view: int, aspect: float = FREE_ASPECT, centre: float = FREE_CENTRE) -> Self:
-        """Return it with any shape of pixels and any principal point in a view, within sds."""
+    def freed(self, *views: int, aspect: float = FREE_ASPECT, centre: float = FREE_CENTRE) -> Self:
+        """Return it with any shape of pixels and any principal point in views, within sds."""
         beliefs = self.beliefs
-        for number, sd in ((ASPECT, aspect), (CENTRE, centre), (CENTRE + 1, centre)):
-            beliefs = beliefs.widened([view], number, sd) if sd else beliefs
-        if not beliefs.covariances[FOCAL, view, view] > 0:
-            beliefs = beliefs.widened([view], FOCAL, FREE_FOCAL)
+        for view in views:
+            for number, sd in ((ASPECT, aspect), (CENTRE, centre), (CENTRE + 1, centre)):
+                beliefs = beliefs.widened([view], number, sd) if sd else beliefs
+            if not beliefs.covariances[FOCAL, view, view] > 0:
+                beliefs = beliefs.widened([view], FOCAL, FREE_FOCAL)
         return self._replace(beliefs=beliefs)
 
     def moved(self, view: int, *, aspect: float = 0.0, centre: Float64, focal: float = 0.0) -> Self:
@@ -209,24 +210,3 @@ def _even(seen: SeenPoints, evens: tuple[Even, ...]) -> SeenPoints:
         return seen
     shown = [even.of(images) for images, even in zip(seen.images, evens, strict=True)]
     return seen._replace(images=np.stack(shown))
-
-
-def roll(trial: Trial, view: int) -> float | None:
-    """Return by how many degrees a view's image is turned clockwise beside the others'.
-
-    From where the cameras have their upper side: None if they do not agree on it.
-    """
-    rotations = trial.fit.rig.rotations
-    ups = -rotations[:, 1]  # (K, 3) in the common frame
-    others = np.delete(ups, view, 0)
-    mean = others.mean(0)
-    if np.linalg.norm(mean) < AGREE:
-        return None
-    x, y, _ = rotations[view] @ mean / np.linalg.norm(mean)
-    if np.hypot(x, y) < SEEN:
-        return None
-    return float(np.degrees(np.arctan2(x, -y)))
-
-
-AGREE = 0.8  # length of the mean of unit vectors
-SEEN = 0.6  # of a unit vector, in the image
