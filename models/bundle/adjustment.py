@@ -97,6 +97,7 @@ def move_rig(rig: Rig, step: Float64) -> Rig:
         rig.groups,
         rotations_from_vectors(step[:, ROTATION]) @ rig.rotations,
         rig.translations + step[:, TRANSLATION],
+        rig.stretched,
     )
 
 

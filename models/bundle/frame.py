@@ -61,7 +61,7 @@ def cost_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> float:
         for p in range(len(scene.points)):
             w = weights[k, p]
             if w > 0:
-                point_in_group_into(scene, rig.groups[k], growth, p, turned, held)
+                point_in_group_into(rig, scene, k, growth, p, turned, held)
                 point_in_camera_into(rig, k, held, camera)
                 if not camera[2] >= NEAREST_DEPTH:
                     return np.inf

@@ -21,7 +21,7 @@ Float64 = NDArray[np.float64]
 OUTLIER = 3.0  # noise standard deviations from which a keypoint's gradient is constant (Huber)
 SIMILARITY = 7  # numbers of a structure that belong to cameras, not to its shape
 TINY = 1e-12  # least squared residual, and least number on a diagonal
-SIZE = 6  # place of the log size in a pose
+SIZE = 6  # place of the log size or stretch in a pose
 
 
 class NormalEquations(NamedTuple):
@@ -97,15 +97,22 @@ def whiten(points: Float64, prior: ShapePrior, out: Float64) -> tuple[float, flo
 
 @inner
 def point_in_group_into(
-    scene: Scene, group: int, growth: float, p: int, turned: Float64, held: Float64
+    rig: Rig, scene: Scene, view: int, growth: float, p: int, turned: Float64, held: Float64
 ) -> None:
-    """Write e^a R X and v = e^a R X + t of one point in the frame of its group, `growth` e^a."""
+    """Write e^a R X and v = e^a R X + t of one point in the frame of a view's group.
+
+    `growth` is e^a; of a stretched view write R X and diag(e^a, 1, 1) (R X + t).
+    """
+    group, stretched = rig.groups[view], rig.stretched[view]
     rotation, point = scene.rotations[group], scene.points[p]
+    scale = 1.0 if stretched else growth
     for i in range(3):
-        turned[i] = growth * (
+        turned[i] = scale * (
             rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
         )
         held[i] = turned[i] + scene.translations[group, i]
+    if stretched:
+        held[0] *= growth
 
 
 @inner
@@ -186,7 +193,8 @@ def _linearise_view(
     Fields of tuples are looked up once for all keypoints, because counting references takes time.
     """
     group = rig.groups[view]
-    growth = math.exp(scene.sizes[group])
+    growth, stretched = math.exp(scene.sizes[group]), rig.stretched[view]
+    scale = 1.0 if stretched else growth
     rotation, outward = scene.rotations[group], rig.rotations[view]
     keypoints, weights, lenses = views.keypoints[view], views.weights[view], rig.lenses
     points, coupling, points_right = out.points, out.coupling, out.points_right
@@ -197,7 +205,7 @@ def _linearise_view(
     for p in range(len(weights)):
         if not weights[p] > 0:
             continue
-        point_in_group_into(scene, group, growth, p, turned, held)
+        point_in_group_into(rig, scene, view, growth, p, turned, held)
         point_in_camera_into(rig, view, held, camera)
         differentiate_into(camera, lenses, view, pixel, by_camera, by_lens)
         squared = 0.0
@@ -212,8 +220,17 @@ def _linearise_view(
                     + by_camera[a, 1] * outward[1, i]
                     + by_camera[a, 2] * outward[2, i]
                 )
+            if stretched:
+                by[a, SIZE] = by_held[a, 0] * held[0]
+                by_held[a, 0] *= growth
+            else:
+                by[a, SIZE] = (
+                    by_held[a, 0] * turned[0]
+                    + by_held[a, 1] * turned[1]
+                    + by_held[a, 2] * turned[2]
+                )
             for i in range(3):
-                by_point[a, i] = growth * (
+                by_point[a, i] = scale * (
                     by_held[a, 0] * rotation[0, i]
                     + by_held[a, 1] * rotation[1, i]
                     + by_held[a, 2] * rotation[2, i]
@@ -221,9 +238,6 @@ def _linearise_view(
             _by_rotation_vector_into(by_held[a], turned, by[a, :3])
             for i in range(3):
                 by[a, 3 + i] = by_held[a, i]
-            by[a, SIZE] = (
-                by_held[a, 0] * turned[0] + by_held[a, 1] * turned[1] + by_held[a, 2] * turned[2]
-            )
         if len(right) > POSE:
             _by_view_into(rig, view, camera, by_camera, by_lens, held, by)
         _add_point(by_point, by, weight, p, pose_at, view_at, points, coupling)

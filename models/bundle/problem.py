@@ -6,10 +6,14 @@ group and see it through extrinsics that all frames share, `x_cam = C v + d`. A 
 group of one, with C = 1 and d = 0. So a static rig, moving cameras and any mixture of the two are
 one problem.
 
+The images of a moving view may be *stretched*: a detector resizes its boxes to one shape, in each
+frame by another factor along x than along y. Then `v = diag(e^a, 1, 1) (R X + t)`.
+
 Everything is float64: N frames, K views, P keypoints, G groups, Q components of the shape prior.
 Compiled functions of one frame take the same tuples without the leading N.
 """
 
+import math
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,6 +33,7 @@ VIEW = LENS + EXTRINSICS  # numbers of a view that all frames share
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL, RADIAL_2 = range(LENS)  # places among a view's eleven numbers
 
 SIZE_SD = 0.3  # of the log size of a subject from frame to frame, seen by static cameras
+STRETCH_SD = 0.3  # of the log stretch of an image from frame to frame: subjects spread their arms
 FIXED = 1e8  # inverse variance of numbers that are held
 
 
@@ -50,7 +55,8 @@ class Rig(NamedTuple):
     groups: Int64  # (K,) the group of each view, 0 to G - 1
     rotations: Float64  # (K, 3, 3) C, group to camera
     translations: Float64  # (K, 3) d, units of the structure
-    size_precision: Float64  # (G,) inverse variance of the log size a that each group sees
+    size_precision: Float64  # (G,) inverse variance of the log size or stretch a of each group
+    stretched: NDArray[np.bool_]  # (K,) moving views with another stretch in each frame
 
     @property
     def group_count(self) -> int:
@@ -94,35 +100,46 @@ class Scene(NamedTuple):
     points: Float64  # (N, P, 3)
     rotations: Float64  # (N, G, 3, 3) R
     translations: Float64  # (N, G, 3) t
-    sizes: Float64  # (N, G) log size a
+    sizes: Float64  # (N, G) log size a, or log stretch of a view that is stretched
 
     def of(self, frames: Int64 | slice) -> "Scene":
         """Return the unknowns of some of the frames."""
         return Scene(*(array[frames] for array in self))
 
 
-def make_rig(lenses: Lenses, groups: Int64, rotations: Float64, translations: Float64) -> Rig:
+def make_rig(
+    lenses: Lenses,
+    groups: Int64,
+    rotations: Float64,
+    translations: Float64,
+    stretched: NDArray[np.bool_] | None = None,
+) -> Rig:
     """Lay out a rig for compiled functions.
 
     If several views see a group, its size varies from frame to frame by `SIZE_SD`. With one view
-    the size is held, because only its ratio to the distance is determined.
+    the size is held, because only its ratio to the distance is determined; if its images are
+    `stretched` (K,), that number is the stretch and varies by `STRETCH_SD`.
     """
     members = np.bincount(groups)
+    alone: NDArray[np.bool_] = members[groups] == 1
+    stretched = alone & (False if stretched is None else stretched)
+    precision = np.where(members > 1, 1 / SIZE_SD**2, FIXED)
+    precision[groups[stretched]] = 1 / STRETCH_SD**2
     return Rig(
         contiguous(lenses),
         np.ascontiguousarray(groups),
         np.ascontiguousarray(rotations),
         np.ascontiguousarray(translations),
-        np.where(members > 1, 1 / SIZE_SD**2, FIXED),
+        precision,
+        np.ascontiguousarray(stretched),
     )
 
 
-def moving_rig(lenses: Lenses) -> Rig:
+def moving_rig(lenses: Lenses, stretched: NDArray[np.bool_] | None = None) -> Rig:
     """Return the rig in which every view is a separate group."""
     views = len(lenses.focals)
-    return make_rig(
-        lenses, np.arange(views), np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
-    )
+    poses = np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3))
+    return make_rig(lenses, np.arange(views), *poses, stretched)
 
 
 def make_shape_prior(
@@ -151,19 +168,22 @@ def contiguous(arrays: Tuple) -> Tuple:
 def points_in_cameras(scene: Scene, rig: Rig) -> Float64:
     """Return the points in every camera's frame (N, K, P, 3)."""
     turned = scene.points[:, None] @ scene.rotations.mT  # (N, G, P, 3)
-    grown = np.exp(scene.sizes)[..., None, None] * turned
-    held = grown[:, rig.groups] + scene.translations[:, rig.groups, None]  # v, (N, K, P, 3)
+    scales = np.exp(scene.sizes)[:, rig.groups, None]  # (N, K, 1)
+    grown = np.where(rig.stretched[:, None], 1.0, scales)[..., None] * turned[:, rig.groups]
+    held = grown + scene.translations[:, rig.groups, None]  # v, (N, K, P, 3)
+    held[..., 0] *= np.where(rig.stretched[:, None], scales, 1.0)
     points: Float64 = held @ rig.rotations.mT + rig.translations[:, None]
     return points
 
 
 def views_apart(scene: Scene, rig: Rig) -> Scene:
     """Return the same scene with a group for each view, in units of each frame's structure."""
-    sizes = np.exp(scene.sizes)[:, rig.groups, None]
+    stretches = np.where(rig.stretched, scene.sizes[:, rig.groups], 0.0)
+    sizes = np.exp(scene.sizes[:, rig.groups] - stretches)[..., None]
     held = scene.translations[:, rig.groups]  # (N, K, 3)
     shifts = np.einsum("kij,nkj->nki", rig.rotations, held) + rig.translations
     rotations = rig.rotations @ scene.rotations[:, rig.groups]
-    return Scene(scene.points, rotations, shifts / sizes, np.zeros(shifts.shape[:2]))
+    return Scene(scene.points, rotations, shifts / sizes, stretches)
 
 
 @inner
@@ -198,3 +218,17 @@ def prior_about(prior: ShapePrior, mean: Float64, scale: float) -> ShapePrior:
     return ShapePrior(
         mean, prior.basis, prior.inner, prior.factor, prior.spread, scale, prior.heavy
     )
+
+
+@inner
+def stretch_x(rotation: Float64, translation: Float64, factor: float) -> None:
+    """Multiply a camera's x axis, (3, 3) and (3,), by a factor."""
+    for j in range(3):
+        rotation[0, j] *= factor
+    translation[0] *= factor
+
+
+@inner
+def stretch_of(rotation: Float64) -> float:
+    """Return the length of a camera's x axis (3, 3)."""
+    return math.sqrt(rotation[0, 0] ** 2 + rotation[0, 1] ** 2 + rotation[0, 2] ** 2)

@@ -162,7 +162,8 @@ def regauge(scene: Scene, points: Float64, similarity: Similarity, rig: Rig) -> 
     """
     several = rig.members > 1  # (G,)
     shift = (scene.rotations @ similarity.centres.mT[:, None])[..., 0]  # (N, G, 3)
-    translations = scene.translations + np.exp(scene.sizes)[..., None] * shift
+    sizes = np.where(several, scene.sizes, 0.0)  # of a group of one, it is a stretch
+    translations = scene.translations + np.exp(sizes)[..., None] * shift
     scales = similarity.scales[:, None]  # (N, 1)
     return Scene(
         points,

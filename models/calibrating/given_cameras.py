@@ -63,7 +63,7 @@ def given_poses(problem: CalibrationProblem, moving: Solution) -> tuple[Solution
         if pose is not None:
             rotations[k], translations[k] = pose
     groups = grouped(problem.posed, len(rotations))
-    rig = make_rig(moving.rig.lenses, groups, rotations, translations)
+    rig = make_rig(moving.rig.lenses, groups, rotations, translations, moving.rig.stretched)
     scene = gather(moving.scene, rig, problem.weights.sum(-1) > 0)
     log_unit = float(lower_median(scene.sizes[:, 0]))
     unit = math.exp(log_unit)

@@ -297,6 +297,8 @@ def _start(
     members = [int(k) for k in np.flatnonzero(static)]
     lenses = _lenses(problem, rig, static)
     placed_rig, held, placed = _in_first_camera(rig, members, lenses, structures)
+    stretched = problem.reference.stretched & ~static
+    placed_rig = make_rig(*placed_rig[:4], stretched)
     scene = Scene(
         structures.points,
         np.ascontiguousarray(held[:, None]),
@@ -320,7 +322,7 @@ def _with_moving(start: Solution, moving: Solution, others: Int64) -> Solution:
         start.scene.points,
         np.concatenate((start.scene.rotations, scene.rotations[:, others]), 1),
         np.concatenate((start.scene.translations, scene.translations[:, others]), 1),
-        np.pad(start.scene.sizes, ((0, 0), (0, len(others)))),
+        np.concatenate((start.scene.sizes, scene.sizes[:, others]), 1),
     )
     noise = max(start.noise, moving.noise)
     return start._replace(

@@ -69,7 +69,9 @@ def rig_prior(problem: CalibrationProblem, rig: Rig, *, given_poses: GivenPoses 
         free[index] = True
     free.reshape(views, VIEW)[:, LENS:] = poses.sds > 0
     free.reshape(views, VIEW)[problem.kept] = False
-    mean = make_rig(problem.reference.lenses, rig.groups, poses.rotations, poses.translations)
+    mean = make_rig(
+        problem.reference.lenses, rig.groups, poses.rotations, poses.translations, rig.stretched
+    )
     return RigPrior(mean, precision, free)
 
 

@@ -21,6 +21,7 @@ from models.bundle.problem import (
 )
 from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images, ImageSizes, images_of
+from models.capture.boxes import stretched_views
 from models.epipolar.static_rig import Geometry
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
@@ -117,7 +118,7 @@ def problem_of(
     views = keypoints.shape[1]
     calibration = config.calibration or (None,) * views
     images = images_of(keypoints, weights, image_sizes)
-    usual = usual_rig(images)
+    usual = usual_rig(images, stretched_views(keypoints, weights))
     reference, lens_sds = with_given_lenses(usual, calibration)
     alike = config.cameras_alike
     groups = np.arange(views) if alike is False else np.zeros(views, np.int64)
@@ -251,10 +252,10 @@ def _pose_of(camera: Camera | None) -> Pose | None:
     return Pose(matrix, np.array(camera.translation, np.float64))
 
 
-def usual_rig(images: Images) -> Rig:
-    """Return moving cameras with usual lenses, centred in the images."""
+def usual_rig(images: Images, stretched: NDArray[np.bool_] | None = None) -> Rig:
+    """Return moving cameras with usual lenses, centred in images some of which are `stretched`."""
     views = len(images.sizes)
     focals = USUAL_FOCAL * images.sizes.max(1, keepdims=True) * np.ones(2)
     models = np.full(views, index_of("pinhole"), np.int8)
     lenses = Lenses(focals, images.middles.copy(), np.zeros((views, COEFFICIENTS)), models)
-    return moving_rig(lenses)
+    return moving_rig(lenses, stretched)

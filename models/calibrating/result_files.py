@@ -61,6 +61,7 @@ def to_arrays(calibration: SelfCalibration) -> tuple[Arrays, str]:
         "reason": calibration.reason,
         "findings": [finding.model_dump(mode="json") for finding in calibration.findings],
         "lenses": [LENSES[model].NAME for model in lenses.models],
+        "stretched": rig.stretched.tolist(),
         "handedness_certainty": _finite(calibration.handedness_certainty),
     }
     tensors = {n: torch.from_numpy(np.array(a, np.float64, order="C")) for n, a in arrays.items()}
@@ -132,7 +133,13 @@ def from_arrays(arrays: Arrays, words: str) -> SelfCalibration:
     if deviations.shape[1] < VIEW:  # the second radial coefficient was kept
         deviations = np.insert(deviations, RADIAL_2, 0, axis=1)
     return SelfCalibration(
-        make_rig(lenses, groups, a["extrinsic_rotations"], a["extrinsic_translations"]),
+        make_rig(
+            lenses,
+            groups,
+            a["extrinsic_rotations"],
+            a["extrinsic_translations"],
+            _stretched(fields, len(groups)),
+        ),
         deviations,
         ShapeModel(a["shape_mean"], a["shape_basis"], spread),
         NetworkErrors(a["doubt_basis"], error_spread, a["doubt_scales"]),
@@ -167,6 +174,14 @@ def _certainty(fields: dict[str, Any]) -> float:
     if not isinstance(certainty, int | float) or not 0 <= certainty <= 1:
         raise WeightsError("the file does not describe the cameras")
     return float(certainty)
+
+
+def _stretched(fields: dict[str, Any], views: int) -> NDArray[np.bool_]:
+    """Return which views (K,) are stretched; none in files of older versions."""
+    stretched = fields.get("stretched", [False] * views)
+    if not isinstance(stretched, list) or len(stretched) != views:
+        raise WeightsError("the file contradicts itself about the cameras")
+    return np.array([each is True for each in stretched], np.bool_)
 
 
 def _read_words(words: str) -> dict[str, Any]:

@@ -92,7 +92,8 @@ def _gains(pulls: Float64, matrices: Float64, usual: Float64, starts: Int64) -> 
     """
     frame = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(pulls)))
     others = np.add.reduceat(matrices, starts, axis=0)[frame] - matrices
-    others += usual + TINY * np.trace(usual) * np.eye(POSE)
+    usual = usual + TINY * np.trace(others.mean(0)) * np.eye(POSE)  # without noise it is 0
+    others += usual
     towards = np.add.reduceat(pulls, starts, axis=0)[frame] - pulls
     poses = np.linalg.solve(others, towards[..., None])[..., 0]
     return np.asarray(

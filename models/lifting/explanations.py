@@ -14,7 +14,15 @@ from models.bundle.frame import cost_of, descend, make_scene
 from models.bundle.frame_equations import point_in_camera_into, whiten
 from models.bundle.initial_poses import gather_frame, start_view
 from models.bundle.known_structures import KnownStructures
-from models.bundle.problem import Rig, Scene, ShapePrior, Views, prior_about
+from models.bundle.problem import (
+    Rig,
+    Scene,
+    ShapePrior,
+    Views,
+    prior_about,
+    stretch_of,
+    stretch_x,
+)
 from models.lifting.skeleton_lengths import SkeletonLengths
 from models.network.answers import Answers
 from models.numerics.compiled import inner
@@ -48,8 +56,9 @@ class Explanation(NamedTuple):
     """A structure and a perspective camera for every view."""
 
     points: Float64  # (P, 3)
-    rotations: Float64  # (K, 3, 3)
-    translations: Float64  # (K, 3)
+    # (K, 3, 3) and (K, 3); the x axis of a stretched view is longer by the stretch of the frame
+    rotations: Float64
+    translations: Float64
     errors: Float64  # (K,) pixels, mean reprojection error
 
 
@@ -213,19 +222,21 @@ def explain_with(
     _as_groups(rig, usable, start, scene)
     cost = descend(views, rig, prior, scene, ITERATIONS)
     misfit, _ = whiten(scene.points, prior, np.empty((count, 3)))
-    size = math.exp(
-        scene.sizes[0]
-    )  # views that move on their own have size 1: their distance decides
+    # Views that move on their own have size 1: their distance decides.
+    size = 1.0 if rig.stretched[0] else math.exp(scene.sizes[0])
     for p in range(count):
         for i in range(3):
             out.points[p, i] = scene.points[p, i] * size
     for k in range(len(usable)):
         g = rig.groups[k]
-        growth = math.exp(scene.sizes[g])
+        scale = math.exp(scene.sizes[g])
+        growth = 1.0 if rig.stretched[k] else scale
         product(rig.rotations[k], scene.rotations[g], out.rotations[k])
         point_in_camera_into(rig, k, scene.translations[g], out.translations[k])
         for i in range(3):
             out.translations[k, i] *= size / growth
+        if rig.stretched[k]:
+            stretch_x(out.rotations[k], out.translations[k], scale)
     write_errors(rig, views, out)
     return cost, misfit
 
@@ -270,7 +281,9 @@ def _as_groups(rig: Rig, usable: Bool, start: Explanation, scene: Scene) -> None
             g = rig.groups[k]
             copy(start.rotations[k], scene.rotations[g])
             copy(start.translations[k], scene.translations[g])
-            scene.sizes[g] = 0.0
+            stretch = stretch_of(scene.rotations[g]) if rig.stretched[k] else 1.0
+            stretch_x(scene.rotations[g], scene.translations[g], 1 / stretch)
+            scene.sizes[g] = math.log(stretch)
 
 
 @inner

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.known_structures import KnownStructures, no_structures
-from models.bundle.problem import Rig, Views, make_rig, make_shape_prior, moving_rig
+from models.bundle.problem import (
+    Rig,
+    Views,
+    make_rig,
+    make_shape_prior,
+    moving_rig,
+    stretch_of,
+    stretch_x,
+)
 from models.calibrating.result import SelfCalibration
 from models.capture.observations import Observations
 from models.lifting.explanations import (
@@ -78,7 +86,7 @@ def make_refiner(
     believed = errors if errors.known else shapes
     return Refiner(
         rig,
-        moving_rig(rig.lenses),
+        moving_rig(rig.lenses, rig.stretched),
         make_shape_prior(shapes.mean, believed.basis, believed.spread, heavy=errors.known),
         errors.known,
         np.ascontiguousarray(errors.scales) if errors.known else np.ones(1),
@@ -113,6 +121,7 @@ def sub_rig(calibration: SelfCalibration, views: Sequence[int] | None, count: in
         groups,
         np.where(alone[..., None], np.eye(3), rig.rotations[index]),
         np.where(alone, 0.0, rig.translations[index]),
+        rig.stretched[index],
     )
 
 
@@ -303,6 +312,8 @@ def _write(
     for k in range(len(usable)):
         if not usable[k]:
             continue
+        stretch = stretch_of(explanation.rotations[k]) if refiner.rig.stretched[k] else 1.0
+        stretch_x(explanation.rotations[k], explanation.translations[k], 1 / stretch)
         for i in range(3):
             shift = explanation.translations[k, i]
             for j in range(3):
@@ -312,7 +323,7 @@ def _write(
         focal = 0.5 * (lenses.focals[k, 0] + lenses.focals[k, 1])
         answers.scales[n, k] = focal / answers.translations[n, k, 2]
         for i in range(2):
-            answers.focals[n, k, i] = lenses.focals[k, i]
+            answers.focals[n, k, i] = lenses.focals[k, i] * (stretch if i == 0 else 1.0)
             answers.principal_points[n, k, i] = lenses.centres[k, i]
         for i in range(lenses.distortion.shape[1]):
             answers.distortions[n, k, i] = lenses.distortion[k, i]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import Rig
+from models.bundle.problem import Rig, stretch_x
 from models.capture.observations import Observations
 from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
@@ -182,6 +182,9 @@ def fill_frames(
                 out.translations[m, k, i] = answers.translations[n, k, i] if placed else 0.0
                 for j in range(3):
                     out.rotations[m, k, i, j] = answers.rotations[n, k, i, j] if placed else 0.0
+            if placed and rig.stretched[k]:  # which the lens of the rig does not have
+                stretch = answers.focals[n, k, 0] / rig.lenses.focals[k, 0]
+                stretch_x(out.rotations[m, k], out.translations[m, k], stretch)
         out.growth[m] = _growth(out.rotations[m], out.translations[m], out.joined[m], rig)
         for k in range(views):
             for i in range(3):

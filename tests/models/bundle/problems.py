@@ -31,6 +31,7 @@ OWN = 3 * POINTS + POSE * 2  # unknowns of a frame: its points, and a pose per g
 NOISE = 1.5  # pixels
 SPREAD = 0.05  # of structures beside the components
 SIZE_PRECISION = np.array([1 / 0.3**2, 1e8])  # inverse variances of the groups' log sizes
+OF_STRETCH = np.array([1 / 0.3**2, 1 / 0.3**2])  # if the view that moves is stretched
 HUBER = 3.0  # standard deviations
 FREEDOM = 3 * POINTS - 7  # of a structure, similarities aside
 TAILS = [(False, 1.0), (True, 1.0), (True, 8.0), (True, 0.3)]  # heavy ones, with a scale
@@ -61,9 +62,13 @@ def make(
     outliers: bool = False,
     heavy: bool = False,
     scale: float = 1.0,
+    stretched: bool = False,
     seed: int = 0,
 ) -> CalibrationProblem:
-    """Make a capture, and a start that is `off` by some degrees and tenths."""
+    """Make a capture, and a start that is `off` by some degrees and tenths.
+
+    The images of the camera that moves may be `stretched`.
+    """
     rng = np.random.default_rng(seed)
     basis = 0.15 * rng.standard_normal((POINTS, 3, COMPONENTS))
     mean = rng.standard_normal((POINTS, 3))
@@ -79,6 +84,8 @@ def make(
     rotations = about(rng, (FRAMES, 2), 60)
     translations = np.array([0, 0, 7.0]) + 0.3 * rng.standard_normal((FRAMES, 2, 3))
     sizes = np.stack((0.2 * rng.standard_normal(FRAMES), np.zeros(FRAMES)), -1)
+    if stretched:
+        sizes[:, 1] = 0.2 * rng.standard_normal(FRAMES)
     distortion = np.zeros((VIEWS, 8))
     distortion[:, :2] = [[-0.08, 0.02], [0.03, 0.0], [0.0, 0.0], [-0.05, 0.0]]
     rig = make_rig(
@@ -91,6 +98,7 @@ def make(
         np.array(GROUPS),
         extrinsics,
         shifts,
+        np.array([False, False, stretched, False]),
     )
     truth = Scene(points, rotations, translations, sizes)
     # Never so much noise that a keypoint counts as an outlier.
@@ -107,7 +115,7 @@ def make(
         points + 0.1 * off * rng.standard_normal(points.shape),
         about(rng, (FRAMES, 2), 4 * off) @ rotations,
         translations + 0.1 * off * rng.standard_normal(translations.shape),
-        sizes + np.array([0.05 * off, 0]),
+        sizes + np.array([0.05 * off, 0.1 * off * stretched]),
     )
     bias = 0.02 * rng.standard_normal((VIEWS, VIEW))
     bias[:, 1:3] *= 100
@@ -133,7 +141,11 @@ def pixels_of(scene: Scene, rig: Rig) -> Float64:
     points, rotations, translations, sizes = scene
     for n, k in np.ndindex(FRAMES, VIEWS):
         g = GROUPS[k]
-        held = np.exp(sizes[n, g]) * points[n] @ rotations[n, g].T + translations[n, g]
+        if rig.stretched[k]:
+            held = points[n] @ rotations[n, g].T + translations[n, g]
+            held = held * [np.exp(sizes[n, g]), 1, 1]
+        else:
+            held = np.exp(sizes[n, g]) * points[n] @ rotations[n, g].T + translations[n, g]
         x = held @ rig.rotations[k].T + rig.translations[k]
         flat = x[:, :2] / x[:, 2:]
         k1, k2 = rig.lenses.distortion[k, :2]
@@ -185,7 +197,7 @@ def residuals(problem: CalibrationProblem, step: Float64) -> Float64:
 
     parts += [
         whitened(problem.prior, scene) / scales_of(problem)[:, None],
-        np.sqrt(SIZE_PRECISION) * scene.sizes,
+        np.sqrt(OF_STRETCH if rig.stretched[2] else SIZE_PRECISION) * scene.sizes,
     ]
     if len(step) > FRAMES * OWN:
         ours, mean = rig.lenses, problem.rig_prior.mean.lenses

@@ -43,9 +43,10 @@ from tests.models.bundle.problems import (
 from tests.tiers import thorough_after
 
 
+@pytest.mark.parametrize("stretched", [False, True])
 @pytest.mark.parametrize("outliers", [False, True])
-def test_the_cost_is_the_sum_of_the_squares(*, outliers: bool) -> None:
-    problem = make(outliers=outliers)
+def test_the_cost_is_the_sum_of_the_squares(*, outliers: bool, stretched: bool) -> None:
+    problem = make(outliers=outliers, stretched=stretched)
     found = of(problem, problem.scene, problem.rig)
     squares = np.square(residuals(problem, np.zeros(FRAMES * OWN)))
     assert found.sum() == pytest.approx(squares.sum(), rel=1e-10)
@@ -76,9 +77,12 @@ def test_heavy_tails_are_the_best_of_all_wider_gaussians(
     assert set(scales_of(problem) > scale) == {asks_for_more}  # the side of the bound
 
 
+@pytest.mark.parametrize("stretched", [False, True])
 @pytest.mark.parametrize(("heavy", "scale"), TAILS)
-def test_the_gradient_agrees_with_differences_of_the_cost(*, heavy: bool, scale: float) -> None:
-    problem = make(outliers=True, heavy=heavy, scale=scale)
+def test_the_gradient_agrees_with_differences_of_the_cost(
+    *, heavy: bool, scale: float, stretched: bool
+) -> None:
+    problem = make(outliers=True, heavy=heavy, scale=scale, stretched=stretched)
     normal = linearised(problem, shared=True)
     size = 3 * POINTS + POSE * 2
     none = np.zeros((FRAMES, VIEW * VIEWS))
@@ -98,8 +102,9 @@ def test_the_gradient_agrees_with_differences_of_the_cost(*, heavy: bool, scale:
         np.testing.assert_allclose(-2 * pull, slopes[frame], rtol=1e-5, atol=1e-3)
 
 
-def test_the_normal_equations_are_those_of_the_residuals() -> None:
-    problem = make(off=0)
+@pytest.mark.parametrize("stretched", [False, True])
+def test_the_normal_equations_are_those_of_the_residuals(*, stretched: bool) -> None:
+    problem = make(off=0, stretched=stretched)
     rows = jacobian(problem, shared=True)
     lens = rows[-5 * VIEWS :]  # what is believed of the lenses: not the frames' business
     matrix = rows.T @ rows - lens.T @ lens

@@ -34,7 +34,7 @@ def calibration() -> SelfCalibration:
     )
     poses = np.tile(np.eye(3), (VIEWS, 1, 1)), rng.standard_normal((VIEWS, 3))
     return SelfCalibration(
-        make_rig(lenses, np.array([0, 0, 1]), *poses),
+        make_rig(lenses, np.array([0, 0, 1]), *poses, np.array([False, False, True])),
         rng.uniform(0, 1, (VIEWS, VIEW)),
         ShapeModel(
             rng.standard_normal((KEYPOINTS, 3)), rng.standard_normal((KEYPOINTS, 3, 2)), 0.1
