@@ -1,7 +1,8 @@
 """What may be wrong with a view's pixels: as a prior of its lens, and as the map that undoes it."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from models.causes.cause import Cause, Kind
 from models.causes.free_rig import ASPECT, CENTRE, FOCAL
 from models.causes.pixel_map import PixelMap
-from models.causes.sightings import Hypothesis
+from models.causes.sightings import Even, Hypothesis
 
 Float64 = NDArray[np.float64]
 
@@ -21,9 +22,12 @@ CORNERS = ((0.2, 0.2), (0.3, 0.05), (0.05, 0.3))  # of windows, in the image: wh
 LEAST_ASPECT, LEAST_SCALE = 0.06, 0.15  # logarithms: less does little harm
 LEAST_OFFSET = 0.06  # sides: a crop nearer than this does no harm
 RARE = 4.6  # nats against any harm: one view in a hundred
+ALSO = 1.5  # against the same harm in another view
 RARER = 1.0  # against one that is seen less often
 FREE_OFFSET = 6.0  # what two free numbers cost beside the expected principal point
 FREE_NUMBER = 4.0
+BENT = 10.0  # and an uneven stretch, which few cameras make
+MOST_OF_PAIRS = 4  # views, of which any two are tried
 LEAST_SQUARE = 1.05  # between width and height, for an image that is not square
 FRAMED = 0.4  # of half an image's width and height: how far a subject's middle is from its middle
 OUTSIDE, MOST_OUTSIDE = 50.0, 0.3  # nats against keypoints outside the image, by their share
@@ -51,13 +55,18 @@ class Image(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A hypothesis of one view, beside what was supposed so far."""
+    """A hypothesis of one view, or of several alike, beside what was supposed so far."""
 
     kind: Kind
-    view: int
+    views: tuple[int, ...]
     hypothesis: Hypothesis
     numbers: dict[str, float]
     nats: float  # against it, before the keypoints are seen
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """Its kind and views."""
+        return self.kind, self.views
 
 
 def candidates(
@@ -74,17 +83,43 @@ def candidates(
     """
     middle, even = image.middle_in_sides, before.evens[view]
     if even.mirrored:
-        yield Candidate("mirrored", view, before, {}, RARE)
+        yield Candidate("mirrored", (view,), before, {}, RARE)
         # Exchanged about the corner; seen here after x was mirrored about the middle.
         across = np.full(2, middle[0] - middle[1])
         for centre in (np.zeros(2), across) if image.known else (np.zeros(2),):
             there = before.moved(view, centre=centre)
-            yield Candidate("axes_exchanged", view, there, {}, RARE + RARER)
+            yield Candidate("axes_exchanged", (view,), there, {}, RARE + RARER)
         return
     if even.bend or abs(lens[ASPECT]) > LEAST_ASPECT:
         yield from _stretched(image, view, before, float(lens[ASPECT]))
     if not even.bend:
         yield from _aside(image, view, before, lens[CENTRE : CENTRE + 2], ratios)
+
+
+def of_several(images: Sequence[Image], before: Hypothesis, left: list[int]) -> Iterator[Candidate]:
+    """Yield what may be wrong with several views: windows of two, or all stretched alike.
+
+    `images` are those of all views; the views `left` may be harmed.
+    """
+    if len(images) <= MOST_OF_PAIRS:
+        for pair in combinations(left, 2):
+            there = before
+            for view in pair:
+                corner = -2 * np.array(CORNERS[0]) * images[view].middle_in_sides
+                there = there.moved(view, centre=corner).freed(view, aspect=0.0)
+            yield Candidate("cropped", pair, there, {}, RARE + ALSO + 2 * FREE_OFFSET)
+    if len(left) < len(images):
+        return
+    # Views of one shape do not show how tall the subject is: cameras that bend stretch 4:3 to 16:9.
+    for bend, aspect in (*product((0.0,), ASPECTS), (BENDS[1], 4 / 3)):
+        there = before
+        for view in left:
+            half = images[view].width / 2 / images[view].side
+            there = there.moved(view, aspect=math.log(aspect), centre=np.zeros(2))
+            there = there.shown(view, Even(bend=bend, half=half))
+        numbers = {"fx_over_fy": aspect} | ({"bend": bend} if bend else {})
+        nats = RARE + 2 * RARER + BENT * bool(bend)
+        yield Candidate("stretched", tuple(left), there, numbers, nats)
 
 
 def _aside(
@@ -96,14 +131,14 @@ def _aside(
         if 0.1 < scale < 10 and abs(math.log(scale)) > LEAST_SCALE:
             nats = RARE + (FREE_NUMBER if scale == free else 0.0)
             there = before.moved(view, centre=(scale - 1) * middle, focal=math.log(scale))
-            yield Candidate("scaled", view, there, {"scale": scale}, nats)
+            yield Candidate("scaled", (view,), there, {"scale": scale}, nats)
     for share in CORNERS:
         there = before.moved(view, centre=-2 * np.array(share) * middle)
-        yield Candidate("cropped", view, there.freed(view, aspect=0.0), {}, RARE + FREE_OFFSET)
+        yield Candidate("cropped", (view,), there.freed(view, aspect=0.0), {}, RARE + FREE_OFFSET)
     aside = np.array((middle[1] - middle[0], middle[0] - middle[1]))
     if image.known and np.hypot(*aside) > LEAST_OFFSET:
         there = before.moved(view, centre=aside)
-        yield Candidate("on_its_side", view, there, {"aside": 1.0}, RARE + RARER)
+        yield Candidate("on_its_side", (view,), there, {"aside": 1.0}, RARE + RARER)
 
 
 def _stretched(image: Image, view: int, before: Hypothesis, aspect: float) -> Iterator[Candidate]:
@@ -113,16 +148,16 @@ def _stretched(image: Image, view: int, before: Hypothesis, aspect: float) -> It
     oblong = image.known and math.exp(abs(shape)) > LEAST_SQUARE
     if oblong and not bend and shape * aspect > 0:
         there = before.moved(view, aspect=shape, centre=nowhere)
-        yield Candidate("padded", view, there, {"fx_over_fy": math.exp(shape)}, RARE + RARER)
+        yield Candidate("padded", (view,), there, {"fx_over_fy": math.exp(shape)}, RARE + RARER)
     usual = [log for log in map(math.log, ASPECTS) if log * aspect > 0]
     for log in (*usual, aspect, *([0.0] if bend else [])):
         numbers = {"fx_over_fy": math.exp(log), **known}
-        nats = RARE + 2 * RARER + FREE_NUMBER * ((log == aspect) + bool(bend))
+        nats = RARE + 2 * RARER + FREE_NUMBER * (log == aspect) + BENT * bool(bend)
         # About the middle, or the longer axis made shorter about the corner.
         shrunk = np.array((min(math.exp(log), 1.0), min(math.exp(-log), 1.0)))
         for to, more in ((nowhere, {}), ((shrunk - 1) * image.middle_in_sides, {"from_corner": 1})):
             there = before.moved(view, aspect=log, centre=to)
-            yield Candidate("stretched", view, there, numbers | more, nats)
+            yield Candidate("stretched", (view,), there, numbers | more, nats)
 
 
 def framing(image: Image, pixels: Float64, size: tuple[int, int] | None) -> float:
@@ -139,14 +174,14 @@ def framing(image: Image, pixels: Float64, size: tuple[int, int] | None) -> floa
 
 
 def causes_of(
-    found: Candidate, image: Image, lens: Float64, sds: Float64, turned: int
+    found: Candidate, view: int, image: Image, lens: Float64, sds: Float64, turned: int
 ) -> list[Cause]:
-    """Return causes with the maps that undo it; more than one if where pixels are tells them apart.
+    """Return causes of a view, with maps; more than one if where pixels are tells them apart.
 
     `lens` (6,) is as estimated, with deviations; `turned` are quarter turns of the image clockwise.
     """
     numbers, errors = dict(found.numbers), dict[str, float]()
-    cause = Cause(found.kind, found.view, numbers, errors, 0.0, PixelMap(), image.size)
+    cause = Cause(found.kind, view, numbers, errors, 0.0, PixelMap(), image.size)
     if found.kind == "cropped":
         offset = -image.side * lens[CENTRE : CENTRE + 2]
         numbers |= {"x": float(np.round(offset[0])), "y": float(np.round(offset[1]))}

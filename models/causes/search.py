@@ -6,6 +6,7 @@ all frames. The best is taken if the cameras that it leads to stand, and the oth
 its pixels mended.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,13 @@ from models.causes.hypotheses import (
     candidates,
     causes_of,
     framing,
+    of_several,
 )
+from models.causes.pixel_map import PixelMap
 from models.causes.sightings import (
     FEW,
     FIRST_ITERATIONS,
     MANY,
-    ROUGH_ITERATIONS,
     Even,
     Sightings,
     Trial,
@@ -41,18 +43,19 @@ from models.numerics.steps import Steps
 LEAST_VIEWS = 3
 WORTH = 8.0  # nats that free lenses must gain for a search to begin
 NAMED = 10.0  # nats for a cause to be named
-CLEARLY, CLEAR = 6.0, 0.2  # nats beyond those of other views, and as a share of all
-FINALISTS, FINALS = 7, 3  # causes that are tried with many points, and by all cameras anew
+CLEARLY, SURE = 6.0, 2.5  # nats beyond those of other views, and in their standard errors
+FINALISTS, FINALS = 7, 3  # hypotheses that are tried with many points, and by all cameras anew
 PROMISING = 2.0  # nats that one must gain with a few points
 HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones
-EXPLAINED = 0.5  # least share of what free lenses of all views gain
+EXPLAINED = 0.25  # least share of what free lenses of all views gain
 TURNED = ("on_its_side", "axes_exchanged")
 
 
 class _Found(NamedTuple):
-    """A cause of one view, and how well all views are explained with it."""
+    """Causes of one hypothesis, and how well all views are explained with them."""
 
-    cause: Cause
+    causes: tuple[Cause, ...]
+    gain: float  # nats
     candidate: Candidate
     trial: Trial
 
@@ -110,16 +113,16 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
         if found is None:
             turned = [] if odd else _turned_views(problem, known, left)
             break
-        cause, problem = found
-        causes.append(cause)
-        left.remove(cause.view)
+        several, problem = found
+        causes += several
+        left = [view for view in left if view not in {cause.view for cause in several}]
     return tuple(sorted(causes + turned, key=lambda cause: cause.view))
 
 
-def _clearest(search: _Search) -> Steps[tuple[Cause, CalibrationProblem] | None]:
-    """Return the cause that explains the keypoints best, and the problem without it.
+def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProblem] | None]:
+    """Return what explains the keypoints best, and the problem without it.
 
-    The cameras are found from the start for the best cause of each view, for what was found step by
+    The cameras are found from the start for the best kinds and views, for what was found step by
     step may be a wrong minimum. They must stand.
     """
     many, known = search.many, search.known
@@ -127,43 +130,63 @@ def _clearest(search: _Search) -> Steps[tuple[Cause, CalibrationProblem] | None]
     freed = many.tried(search.freed.hypothesis, [search.freed.fit.rig])
     usual = nothing.cost + quarter_turns(nothing.fit.rig.rotations)[1]
     least = max(NAMED, EXPLAINED * (nothing.cost - freed.cost))
-    likely = yield from _likely(search)
-    settled: dict[tuple[int, str], list[_Found]] = {}
-    for each in likely[:FINALISTS]:
+    likely, every = yield from _likely(search)
+    settled: dict[tuple[str, tuple[int, ...]], list[_Found]] = {}
+    for each in likely:
         yield
         found = _settled(search, each.candidate, [each.trial.fit.rig], usual)
-        settled.setdefault((found.cause.view, found.cause.kind), []).append(found)
+        settled.setdefault(each.candidate.place, []).append(found)
     best = sorted((max(some, key=_gain) for some in settled.values()), key=_gain, reverse=True)
-    finals: list[tuple[_Found, CalibrationProblem]] = []
+    finals: list[tuple[_Found, CalibrationProblem | None]] = []
     for found in best[:FINALS]:
-        problem = yield from _standing(search, found.cause)
+        problem = None
+        if _gain(found) > max(NAMED, least / 3):  # it may be far from its best cameras yet
+            problem = yield from _standing(search, found.causes)
         if problem is None or problem.geometry is None or problem.geometry.rig is None:
             continue
         again = []
-        for each in likely:
-            if (each.candidate.view, each.candidate.kind) == (found.cause.view, found.cause.kind):
+        for candidate in every:
+            if candidate.place == found.candidate.place:
                 yield
-                start = _harmed(problem.geometry.rig, found, each.candidate, known)
-                again.append(_settled(search, each.candidate, [start], usual))
-        finals.append((max(again, key=_gain), problem))
+                start = _harmed(problem.geometry.rig, found, candidate, known)
+                again.append(_settled(search, candidate, [start], usual))
+        last = max(again, key=_gain)
+        finals.append((last, problem if _maps(last) == _maps(found) else None))
     if not finals:
         return None
     found, problem = max(finals, key=lambda final: _gain(final[0]))
-    others = [_gain(other) for other, _ in finals if other.cause.view != found.cause.view]
-    clear = _gain(found) - max(others, default=0.0)
-    if _gain(found) < least or clear < max(CLEARLY, CLEAR * _gain(found)):
+    others = [other for other, _ in finals if other.candidate.views != found.candidate.views]
+    if _gain(found) < least or not all(_clear(found, other) for other in others):
         return None
-    standing = yield from _standing(search, found.cause)
-    return None if standing is None else (found.cause, standing)
+    if problem is None:
+        problem = yield from _standing(search, found.causes)
+    return None if problem is None else (found.causes, problem)
 
 
 def _gain(found: _Found) -> float:
-    return found.cause.gain
+    return found.gain
 
 
-def _standing(search: _Search, cause: Cause) -> Steps[CalibrationProblem | None]:
-    """Return the problem with a cause undone, with its geometry; None if a camera is left out."""
-    problem = _without(search.problem, cause)
+def _clear(found: _Found, other: _Found) -> bool:
+    """Whether one explanation is better than another, whichever points had been seen.
+
+    By the standard error of the sum of the points' differences (Vuong, *Likelihood ratio tests for
+    model selection and non-nested hypotheses*, 1989).
+    """
+    differences = other.trial.each - found.trial.each
+    error = float(differences.std() * np.sqrt(len(differences)))
+    return _gain(found) - _gain(other) > max(CLEARLY, SURE * error)
+
+
+def _maps(found: _Found) -> list[PixelMap]:
+    return [cause.map for cause in found.causes]
+
+
+def _standing(search: _Search, causes: Sequence[Cause]) -> Steps[CalibrationProblem | None]:
+    """Return the problem with causes undone, with its geometry; None if a camera is left out."""
+    problem = search.problem
+    for cause in causes:
+        problem = _without(problem, cause)
     geometry = yield from geometry_of(problem, declared=False)
     stands = geometry.rig is not None and geometry.rig.static.all()
     return problem._replace(geometry=geometry) if stands else None
@@ -172,9 +195,9 @@ def _standing(search: _Search, cause: Cause) -> Steps[CalibrationProblem | None]
 def _harmed(rig: StaticRig, found: _Found, candidate: Candidate, known: Trial) -> FreeRig:
     """Return the cameras of mended pixels with the lenses that a candidate expects."""
     lens = candidate.hypothesis.beliefs.means - known.hypothesis.beliefs.means
-    if found.cause.kind == "cropped":
-        view = found.cause.view
-        lens[CENTRE:RADIAL, view] = found.trial.fit.rig.lenses[view, CENTRE:RADIAL]
+    if candidate.kind == "cropped":
+        for view in candidate.views:
+            lens[CENTRE:RADIAL, view] = found.trial.fit.rig.lenses[view, CENTRE:RADIAL]
     mended = FreeRig.of(rig.best.rig)
     return mended._replace(lenses=mended.lenses + lens.T)
 
@@ -223,8 +246,8 @@ def _freed(search: _Search) -> Steps[list[tuple[int, Trial]]]:
     return found
 
 
-def _likely(search: _Search) -> Steps[list[_Trial]]:
-    """Return the hypotheses that explain a few points best, the best first."""
+def _likely(search: _Search) -> Steps[tuple[list[_Trial], list[Candidate]]]:
+    """Return the hypotheses that explain a few points best, the best first, and all hypotheses."""
     few, known = search.few, search.known
     found: list[_Trial] = []
     widths = search.problem.images.sizes[search.problem.images.known, 0].tolist()
@@ -232,52 +255,73 @@ def _likely(search: _Search) -> Steps[list[_Trial]]:
         image, base = image_of(search.problem, view), known.hypothesis
         ratios = {width / image.width for width in widths if image.known}
         base = base.shown(view, trial.hypothesis.evens[view])
-        lens = trial.fit.rig.lenses[view]
-        for candidate in candidates(image, view, base, lens, ratios):
+        for candidate in candidates(image, view, base, trial.fit.rig.lenses[view], ratios):
             yield
-            starts = few.starts(candidate.hypothesis, trial, view)
-            tried = few.tried(candidate.hypothesis, starts, iterations=ROUGH_ITERATIONS)
-            if _possible(candidate, tried):
-                found.append(_Trial(tried.cost + candidate.nats, candidate, tried))
-    found.sort(key=lambda each: each.cost)
-    return [each for each in found if known.cost - each.cost > PROMISING]
+            found.append(_first(few, candidate, trial))
+    images = [image_of(search.problem, view) for view in range(len(search.problem.poses))]
+    for candidate in of_several(images, known.hypothesis, search.left):
+        yield
+        found.append(_first(few, candidate, known))
+    found = [each for each in found if _possible(each.candidate, each.trial)]
+    best: dict[tuple[str, tuple[int, ...], bool], _Trial] = {}
+    for each in sorted(found, key=_cost):
+        best.setdefault((*each.candidate.place, "from_corner" in each.candidate.numbers), each)
+    likely = []
+    for each in best.values():
+        yield
+        tried = few.tried(each.candidate.hypothesis, [each.trial.fit.rig])
+        likely.append(_Trial(tried.cost + each.candidate.nats, each.candidate, tried))
+    likely = [each for each in likely if known.cost - each.cost > PROMISING]
+    return sorted(likely, key=_cost)[:FINALISTS], [each.candidate for each in found]
+
+
+def _first(few: Sightings, candidate: Candidate, near: Trial) -> _Trial:
+    """Try a hypothesis with a few steps, from several starts."""
+    starts = few.starts(candidate.hypothesis, near, candidate.views)
+    tried = few.tried(candidate.hypothesis, starts, iterations=0)
+    return _Trial(tried.cost + candidate.nats, candidate, tried)
+
+
+def _cost(each: _Trial) -> float:
+    return each.cost
 
 
 def _settled(search: _Search, candidate: Candidate, starts: list[FreeRig], usual: float) -> _Found:
     """Try a hypothesis with many points; `usual` are the nats against them with nothing wrong."""
     trial = search.many.tried(candidate.hypothesis, starts)
-    cause = _cause(search.problem, search.many, candidate, trial)
-    gain = cause.gain + usual - trial.cost - candidate.nats
-    return _Found(cause._replace(gain=gain), candidate, trial)
+    quarters, against = quarter_turns(trial.fit.rig.rotations)
+    gain = usual - trial.cost - candidate.nats - against + QUARTER * (candidate.kind in TURNED)
+    causes = []
+    for view in candidate.views:
+        cause, framed = _cause(search, candidate, trial, view, int(quarters[view]))
+        causes.append(cause)
+        gain += framed
+    return _Found(tuple(cause._replace(gain=gain) for cause in causes), gain, candidate, trial)
 
 
 def _possible(candidate: Candidate, trial: Trial) -> bool:
     """Whether a window's corner is inside the image, and an image that is turned seen to be so."""
     if candidate.kind == "cropped":
-        x, y = trial.fit.rig.lenses[candidate.view, CENTRE:RADIAL]
-        return bool(np.hypot(x, y) > LEAST_OFFSET and max(x, y) < LEAST_OFFSET)
-    turned = quarter_turns(trial.fit.rig.rotations)[0][candidate.view] % 2 == 1
+        corners = trial.fit.rig.lenses[list(candidate.views), CENTRE:RADIAL]
+        far = np.hypot(*corners.T) > LEAST_OFFSET
+        return bool(far.all() and corners.max() < LEAST_OFFSET)
+    turned = quarter_turns(trial.fit.rig.rotations)[0][candidate.views[0]] % 2 == 1
     return bool(turned == (candidate.kind in TURNED)) or candidate.kind not in (*TURNED, "mirrored")
 
 
 def _cause(
-    problem: CalibrationProblem, many: Sightings, candidate: Candidate, trial: Trial
-) -> Cause:
-    """Return the cause with the map that suits best, and what speaks for it beside the cameras."""
-    view, kind = candidate.view, candidate.kind
+    search: _Search, candidate: Candidate, trial: Trial, view: int, quarters: int
+) -> tuple[Cause, float]:
+    """Return the cause of a view with the map that suits best, and nats for it from the framing."""
+    problem = search.problem
     image, lens = image_of(problem, view), trial.fit.rig.lenses[view]
     free = trial._replace(hypothesis=trial.hypothesis.freed(view, centre=0.0))
-    sds = many.deviations(free if kind == "stretched" else trial)[view]
-    quarters, against = quarter_turns(trial.fit.rig.rotations)
+    sds = search.many.deviations(free if candidate.kind == "stretched" else trial)[view]
     pixels = problem.detected[:, view][problem.weights[:, view] > 0]
-    gain = QUARTER * (kind in TURNED) - against + framing(image, pixels, image.size)
-    return max(
-        (
-            cause._replace(gain=gain - framing(image, cause.map.mended(pixels), cause.size))
-            for cause in causes_of(candidate, image, lens, sds, int(quarters[view]))
-        ),
-        key=lambda cause: cause.gain,
-    )
+    causes = causes_of(candidate, view, image, lens, sds, quarters)
+    framed = [framing(image, cause.map.mended(pixels), cause.size) for cause in causes]
+    best = int(np.argmin(framed))
+    return causes[best], framing(image, pixels, image.size) - framed[best]
 
 
 def image_of(problem: CalibrationProblem, view: int) -> Image:
@@ -296,7 +340,7 @@ def _turned_views(problem: CalibrationProblem, trial: Trial, left: list[int]) ->
         return []
     found = []
     for view in turned:
-        candidate = Candidate("on_its_side", view, trial.hypothesis, {}, 0.0)
+        candidate = Candidate("on_its_side", (view,), trial.hypothesis, {}, 0.0)
         lens = trial.fit.rig.lenses[view]
-        found += causes_of(candidate, image_of(problem, view), lens, lens, quarters[view])
+        found += causes_of(candidate, view, image_of(problem, view), lens, lens, quarters[view])
     return found

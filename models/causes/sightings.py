@@ -16,6 +16,7 @@ from models.causes.free_rig import (
     FreeRig,
     LensBeliefs,
     adjust,
+    costs,
     distances,
     lens_deviations,
     located,
@@ -30,7 +31,7 @@ from models.epipolar.static_cameras import SeenPoints, StaticCameras, distances_
 Float64 = NDArray[np.float64]
 
 FEW, MANY = 250, 1000  # points of either half of the frames
-ITERATIONS, ROUGH_ITERATIONS, FIRST_ITERATIONS = 60, 40, 8
+ITERATIONS, FIRST_ITERATIONS = 60, 10
 WILD = 4.0  # times the median distance: larger ones count as this
 LEAST_NOISE, LEAST_SHARE = 3e-4, 0.01  # sides, and of the subject's radius: what models leave
 # Standard deviations of what a hypothesis frees: log fx / fy, principal point in sides.
@@ -89,6 +90,7 @@ class Trial(NamedTuple):
     hypothesis: Hypothesis
     fit: FreeFit
     cost: float  # nats, minus the log likelihood of all points and the log prior of the lenses
+    each: Float64  # (M,) nats of each point
 
 
 class Sightings(NamedTuple):
@@ -124,18 +126,22 @@ class Sightings(NamedTuple):
         best = min(fits, key=lambda fit: fit.cost)
         if len(starts) > 1:
             best = adjust(best.rig, best.points, train, beliefs, self.noise, iterations=iterations)
-        tested = float(settled(best.rig, test, self.noise).sum())
-        return Trial(hypothesis, best, best.cost + tested)
+        tested = settled(best.rig, test, self.noise)
+        each = np.concatenate((costs(best.rig, best.points, train, self.noise), tested))
+        return Trial(hypothesis, best, best.cost + float(tested.sum()), each)
 
-    def starts(self, hypothesis: Hypothesis, near: Trial, view: int) -> list[FreeRig]:
-        """Return starts for a view whose lens is supposed elsewhere than in a trial."""
-        rig, expected = near.fit.rig, hypothesis.beliefs.means[:, view]
+    def starts(self, hypothesis: Hypothesis, near: Trial, views: Sequence[int]) -> list[FreeRig]:
+        """Return starts for views whose lenses are supposed elsewhere than in a trial."""
+        rig, points, expected = near.fit.rig, near.fit.points, hypothesis.beliefs.means
         seen = _even(self.train, hypothesis.evens)
-        image = np.median(seen.images[view][:, seen.weights[view] > 0], 1)
-        as_found = expected.copy()
-        as_found[FOCAL] = rig.lenses[view, FOCAL]
-        moved = [rig.refocused(view, lens, near.fit.points, image) for lens in (as_found, expected)]
-        return [rig, *moved]
+        as_found = as_expected = rig
+        for view in views:
+            image = np.median(seen.images[view][:, seen.weights[view] > 0], 1)
+            lens = expected[:, view].copy()
+            as_expected = as_expected.refocused(view, lens, points, image)
+            lens[FOCAL] = rig.lenses[view, FOCAL]
+            as_found = as_found.refocused(view, lens, points, image)
+        return [rig, as_found, as_expected]
 
     def mirror_starts(self, hypothesis: Hypothesis, known: FreeRig, view: int) -> list[FreeRig]:
         """Return starts for a view that was mirrored: from afar it looks from the other side."""

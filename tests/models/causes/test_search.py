@@ -1,5 +1,7 @@
 """What is wrong with one view's pixels is named, and nothing where nothing is wrong."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -10,13 +12,14 @@ from models.causes.search import find_causes
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, make_rig_capture
+from tests.tiers import thorough_after
 
 CAPTURE = make_rig_capture([0, 100, 220], frames=60, noise=0.7, hidden=0.02, distance=2.5)
 
 
-def problem_with(keypoints: np.ndarray) -> CalibrationProblem:
+def problem_with(keypoints: np.ndarray, size: tuple[int, int] = IMAGE_SIZE) -> CalibrationProblem:
     weights = np.isfinite(keypoints).all(-1).astype(np.float64)
-    problem = problem_of(np.nan_to_num(keypoints), weights, [IMAGE_SIZE] * 3, FitConfig())
+    problem = problem_of(np.nan_to_num(keypoints), weights, [size] * 3, FitConfig())
     return problem._replace(geometry=finished(geometry_of(problem, declared=False)))
 
 
@@ -28,6 +31,44 @@ def test_an_image_of_half_the_size_is_named_with_its_scale() -> None:
     assert cause.numbers["scale"] == pytest.approx(0.5, abs=3 * cause.sds["scale"] + 0.01)
     undone = mended(keypoints.astype(np.float32), None, None, (cause,)).keypoints
     assert np.nanmax(np.abs(undone - CAPTURE.keypoints)) < 15
+
+
+def exchanged(pixels: np.ndarray) -> np.ndarray:
+    return pixels[..., ::-1]
+
+
+def mirrored(pixels: np.ndarray) -> np.ndarray:
+    return np.asarray((IMAGE_SIZE[0] - 1, 0) + pixels * (-1, 1))
+
+
+def stretched(pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels * (1, 0.75))
+
+
+@pytest.mark.parametrize(
+    ("kind", "harm"),
+    thorough_after(
+        1, [("mirrored", mirrored), ("axes_exchanged", exchanged), ("stretched", stretched)]
+    ),
+)
+def test_a_harm_of_one_view_is_named_and_undone(
+    kind: str, harm: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    keypoints = CAPTURE.keypoints.copy()
+    keypoints[:, 2] = harm(keypoints[:, 2])
+    (cause,) = finished(find_causes(problem_with(keypoints)))
+    assert (cause.kind, cause.view) == (kind, 2)
+    undone = mended(keypoints.astype(np.float32), None, None, (cause,)).keypoints
+    assert np.nanmax(np.abs(undone - CAPTURE.keypoints)) < 60
+
+
+def test_cameras_that_stretch_the_sides_alike_are_named_together() -> None:
+    u = CAPTURE.keypoints[..., 0] / 640 - 1  # of a 4:3 image, which is 16:9 afterwards
+    keypoints = CAPTURE.keypoints.copy()
+    keypoints[..., 0] = 853 * (1 + u * (0.82 + 0.18 * u**2))
+    causes = finished(find_causes(problem_with(keypoints, (1706, 1024))))
+    assert [(cause.kind, cause.view) for cause in causes] == [("stretched", k) for k in range(3)]
+    assert {cause.numbers["bend"] for cause in causes} == {0.18}
 
 
 def test_nothing_is_named_where_nothing_is_wrong() -> None:
