@@ -208,16 +208,16 @@ class Teaching:
 
     def _settled(self) -> Steps[tuple[SelfCalibration, Scene] | None]:
         """Find static cameras by geometry; if it does not decide, keep it for the search."""
-        task = yield from with_causes(self._task_of_all())
+        task = yield from self._task_of_all()
         found = yield from calibrate_by_geometry(task)
         if found is None:
             self._task = task.of(self._searched())
         return found
 
-    def _task_of_all(self) -> CalibrationTask:
+    def _task_of_all(self) -> Steps[CalibrationTask]:
         """Return the task of finding the cameras in all frames with two views or more."""
         frames = self._frames_of_several_views(0).sort().values
-        return task_of(
+        task = task_of(
             self._data.pixels(frames).double().numpy(),
             self._data.weights[frames].double().numpy(),
             self._config,
@@ -226,6 +226,8 @@ class Teaching:
             noisy=self._noisy_frames(),
             edges=self._edges,
         )
+        # Pixels of single views are held against static cameras.
+        return task if self._config.cameras == "moving" else (yield from with_causes(task))
 
     def _searched(self) -> NDArray[np.int64]:
         """Return places among those frames, sorted, of the ones that a search uses."""
@@ -236,7 +238,7 @@ class Teaching:
     def _search(self, answers: WeakPerspectiveScene) -> Steps[tuple[SelfCalibration, Scene] | None]:
         task, self._task = self._task, None
         if task is None:  # the fit was resumed, or had no time for geometry
-            task = (yield from with_causes(self._task_of_all())).of(self._searched())
+            task = (yield from self._task_of_all()).of(self._searched())
         return (yield from self_calibrate(task, answers))
 
     def _find_cameras(self) -> Iterator[None]:
@@ -306,12 +308,9 @@ class Teaching:
     def _with_network_errors(self, self_calibration: SelfCalibration, step: int) -> SelfCalibration:
         """Measure the present errors of the network, and the time that this takes."""
         started = time.perf_counter()
+        seed = [self._config.seed, step, 3]
         measured = learn_errors_of_network(
-            self_calibration,
-            self._data,
-            self._unseen,
-            self._as_prior,
-            seed=[self._config.seed, step, 3],
+            self_calibration, self._data, self._unseen, self._as_prior, seed=seed
         )
         self.state.result_seconds = time.perf_counter() - started
         return measured
