@@ -268,16 +268,19 @@ def test_results_have_the_users_unit_and_the_users_rig() -> None:
 
 
 @pytest.fixture(scope="module", params=["by geometry", "with the network"])
-def interrupted(request: pytest.FixtureRequest) -> tuple[Float64, dict[str, bytes], bytes]:
-    """Fit a small capture; return it, checkpoints on the way, and the weights at the end.
+def interrupted(
+    request: pytest.FixtureRequest,
+) -> tuple[Float64, FitConfig, dict[str, bytes], bytes]:
+    """Fit a small capture; return it with what was asked, checkpoints, and the weights at the end.
 
     Geometry finds static cameras before the first step, moving ones are sought with the network's
     help.
     """
     by_geometry = request.param == "by geometry"
     moving = () if by_geometry else (0, 1, 2)
+    config = FitConfig.model_validate(QUICK | {"cameras": "auto" if by_geometry else "moving"})
     keypoints = make_rig_capture(AZIMUTHS, frames=15, noise=2, moving=moving).keypoints
-    trainer = Trainer(keypoints, FitConfig.model_validate(QUICK))
+    trainer = Trainer(keypoints, config)
     checkpoints: dict[str, bytes] = {}
     sought = 0
     for progress in trainer.run():
@@ -292,7 +295,7 @@ def interrupted(request: pytest.FixtureRequest) -> tuple[Float64, dict[str, byte
             checkpoints[when] = trainer.checkpoint()
     checkpoints["last step"] = checkpoints[f"step {trainer.step - 1}"]
     assert trainer.result().cameras is not None
-    return keypoints, checkpoints, trainer.result().to_bytes()
+    return keypoints, config, checkpoints, trainer.result().to_bytes()
 
 
 @pytest.mark.parametrize(
@@ -302,10 +305,9 @@ def interrupted(request: pytest.FixtureRequest) -> tuple[Float64, dict[str, byte
     ),
 )
 def test_a_fit_stopped_while_it_seeks_the_cameras_resumes_bit_for_bit(
-    interrupted: tuple[Float64, dict[str, bytes], bytes], when: str
+    interrupted: tuple[Float64, FitConfig, dict[str, bytes], bytes], when: str
 ) -> None:
-    keypoints, checkpoints, expected = interrupted
-    config = FitConfig.model_validate(QUICK)
+    keypoints, config, checkpoints, expected = interrupted
     rest = Trainer(keypoints, config, checkpoint=checkpoints[when])
     for _ in rest.run():
         pass

@@ -161,8 +161,9 @@ def test_held_out_frames_are_a_twentieth_and_none_of_few() -> None:
 
 def test_early_stopping_of_few_frames_changes_nothing() -> None:
     keypoints = synthetic_capture(frames=21, views=2, seed=3).keypoints
-    plain = fit(keypoints, QUICK).weights
-    held = fit(keypoints, QUICK.model_copy(update={"early_stopping": True})).weights
+    config = QUICK.model_copy(update={"refine": "off"})
+    plain = fit(keypoints, config).weights
+    held = fit(keypoints, config.model_copy(update={"early_stopping": True})).weights
     for name, value in plain.items():
         np.testing.assert_array_equal(held[name], value)
 
@@ -224,7 +225,8 @@ def test_fields_that_are_not_given_suit_a_start_from_a_model() -> None:
 
 def test_fits_run_on_the_cpu_by_default(capture: SyntheticCapture) -> None:
     config = QUICK.model_copy(update={"refine": "off"})
-    plain, given = fit(capture.keypoints, config), fit(capture.keypoints, config, device="cpu")
+    keypoints = capture.keypoints[:40]
+    plain, given = fit(keypoints, config), fit(keypoints, config, device="cpu")
     assert plain.to_bytes() == given.to_bytes()
 
 
