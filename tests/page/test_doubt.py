@@ -67,6 +67,21 @@ def pixels(canvas: Locator) -> str:
     return drawn
 
 
+def settled_pixels(page: Page, canvas: Locator) -> str:
+    """Return the picture of a canvas once something is drawn in it that stays as it is."""
+    nothing: str = canvas.evaluate(
+        """(canvas) => {
+          const { width, height } = canvas;
+          return Object.assign(document.createElement("canvas"), { width, height }).toDataURL();
+        }"""
+    )
+    before, shown = "", pixels(canvas)
+    while shown != before or shown == nothing:
+        page.wait_for_timeout(300)
+        before, shown = shown, pixels(canvas)
+    return shown
+
+
 def test_a_position_has_a_band_and_a_speed_has_none(
     watched: Watched, live: Live, stored: Stored
 ) -> None:
@@ -135,8 +150,7 @@ def test_doubt_is_drawn_in_3d_as_was_chosen_last(watched: Watched, stored: Store
     canvas = page.locator(".stage canvas")
     doubt = page.get_by_role("button", name="Doubt")
     expect(doubt).to_have_attribute("aria-pressed", "false")
-    page.wait_for_timeout(300)
-    plain = pixels(canvas)
+    plain = settled_pixels(page, canvas)
     doubt.press("Enter")
     expect(doubt).to_have_attribute("aria-pressed", "true")
     wait_for(lambda: pixels(canvas) != plain, "hulls", 90)
