@@ -15,7 +15,7 @@ from models.causes.sightings import Even, Hypothesis
 
 Float64 = NDArray[np.float64]
 
-SCALES = (1 / 2, 2 / 3, 2.0)
+SCALES = (1 / 3, 1 / 2, 2 / 3, 2.0)
 ASPECTS = (16 / 9, 4 / 3, 3 / 4, 9 / 16)
 BENDS = (0.1, 0.18, 0.26)
 CORNERS = ((0.2, 0.2), (0.3, 0.05), (0.05, 0.3))  # of windows, in the image: where fits begin
@@ -128,7 +128,8 @@ def _aside(
     middle = image.middle_in_sides
     free = 1 + float(centre @ middle / (middle @ middle))
     for scale in {*SCALES, *ratios, free}:
-        if 0.1 < scale < 10 and abs(math.log(scale)) > LEAST_SCALE:
+        enlarged = scale == free and scale > 1  # nobody enlarges images by any number
+        if 0.1 < scale < 10 and abs(math.log(scale)) > LEAST_SCALE and not enlarged:
             nats = RARE + (FREE_NUMBER if scale == free else 0.0)
             there = before.moved(view, centre=(scale - 1) * middle, focal=math.log(scale))
             yield Candidate("scaled", (view,), there, {"scale": scale}, nats)

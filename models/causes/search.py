@@ -45,9 +45,11 @@ WORTH = 8.0  # nats that free lenses must gain for a search to begin
 NAMED = 10.0  # nats for a cause to be named
 CLEARLY, SURE = 6.0, 2.5  # nats beyond those of other views, and in their standard errors
 FINALISTS, FINALS = 7, 3  # hypotheses that are tried with many points, and by all cameras anew
+LEFT_OVER = 0.05  # most of what free lenses gained at first, once all causes are undone
 PROMISING = 2.0  # nats that one must gain with a few points
 HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones
 EXPLAINED = 0.25  # least share of what free lenses of all views gain
+MOST_CROPPED = 0.6  # of an image's width and height, to the left and above a window
 TURNED = ("on_its_side", "axes_exchanged")
 
 
@@ -83,10 +85,11 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
     """Find what is wrong with the pixels of single views; yields now and then, to be stopped.
 
     `problem` has its geometry. The causes are to be undone in their order. The geometry is found
-    anew without each before the next is sought.
+    anew without each before the next is sought. Causes that leave much unexplained are none.
     """
     causes: list[Cause] = []
     turned: list[Cause] = []
+    wrong: list[float] = []  # nats that free lenses gain, before each cause
     left = list(range(len(problem.poses)))
     while len(left) > 1 and len(problem.poses) >= LEAST_VIEWS:
         rig = problem.geometry and problem.geometry.rig
@@ -103,17 +106,24 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
         known = few.tried(usual, [start])
         freed = few.tried(usual.freed(*left), [known.fit.rig])
         found = None
-        odd = not stands or known.cost - freed.cost > WORTH
+        wrong.append(known.cost - freed.cost)
+        odd = not stands or wrong[-1] > WORTH
         if odd:
-            few = few.noisy_as(freed)
+            noise, few = few.noise, few.noisy_as(freed)
+            wrong[-1] *= (noise / few.noise) ** 2
             many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
             known = few.tried(usual, [known.fit.rig])
             search = _Search(problem, few, many, known, freed, left)
             found = yield from _clearest(search)
         if found is None:
             turned = [] if odd else _turned_views(problem, known, left)
+            if odd and wrong[-1] > LEFT_OVER * wrong[0]:
+                causes = []
             break
         several, problem = found
+        if causes and 2 * (len(causes) + len(several)) > len(problem.poses):
+            causes = []  # faults of one view alone that another explains as well
+            break
         causes += several
         left = [view for view in left if view not in {cause.view for cause in several}]
     return tuple(sorted(causes + turned, key=lambda cause: cause.view))
@@ -130,6 +140,7 @@ def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProb
     freed = many.tried(search.freed.hypothesis, [search.freed.fit.rig])
     usual = nothing.cost + quarter_turns(nothing.fit.rig.rotations)[1]
     least = max(NAMED, EXPLAINED * (nothing.cost - freed.cost))
+    images = images_of(search.problem)
     likely, every = yield from _likely(search)
     settled: dict[tuple[str, tuple[int, ...]], list[_Found]] = {}
     for each in likely:
@@ -150,6 +161,9 @@ def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProb
                 yield
                 start = _harmed(problem.geometry.rig, found, candidate, known)
                 again.append(_settled(search, candidate, [start], usual))
+        again = [each for each in again if _possible(each.candidate, each.trial, images)]
+        if not again:
+            continue
         last = max(again, key=_gain)
         finals.append((last, problem if _maps(last) == _maps(found) else None))
     if not finals:
@@ -258,11 +272,11 @@ def _likely(search: _Search) -> Steps[tuple[list[_Trial], list[Candidate]]]:
         for candidate in candidates(image, view, base, trial.fit.rig.lenses[view], ratios):
             yield
             found.append(_first(few, candidate, trial))
-    images = [image_of(search.problem, view) for view in range(len(search.problem.poses))]
+    images = images_of(search.problem)
     for candidate in of_several(images, known.hypothesis, search.left):
         yield
         found.append(_first(few, candidate, known))
-    found = [each for each in found if _possible(each.candidate, each.trial)]
+    found = [each for each in found if _possible(each.candidate, each.trial, images)]
     best: dict[tuple[str, tuple[int, ...], bool], _Trial] = {}
     for each in sorted(found, key=_cost):
         best.setdefault((*each.candidate.place, "from_corner" in each.candidate.numbers), each)
@@ -299,12 +313,13 @@ def _settled(search: _Search, candidate: Candidate, starts: list[FreeRig], usual
     return _Found(tuple(cause._replace(gain=gain) for cause in causes), gain, candidate, trial)
 
 
-def _possible(candidate: Candidate, trial: Trial) -> bool:
-    """Whether a window's corner is inside the image, and an image that is turned seen to be so."""
+def _possible(candidate: Candidate, trial: Trial, images: Sequence[Image]) -> bool:
+    """Whether a window's corner is well inside the image, and an image that is turned seen so."""
     if candidate.kind == "cropped":
-        corners = trial.fit.rig.lenses[list(candidate.views), CENTRE:RADIAL]
+        corners = -trial.fit.rig.lenses[list(candidate.views), CENTRE:RADIAL]
+        most = 2 * MOST_CROPPED * np.array([images[v].middle_in_sides for v in candidate.views])
         far = np.hypot(*corners.T) > LEAST_OFFSET
-        return bool(far.all() and corners.max() < LEAST_OFFSET)
+        return bool(far.all() and (corners > -LEAST_OFFSET).all() and (corners < most).all())
     turned = quarter_turns(trial.fit.rig.rotations)[0][candidate.views[0]] % 2 == 1
     return bool(turned == (candidate.kind in TURNED)) or candidate.kind not in (*TURNED, "mirrored")
 
@@ -322,6 +337,11 @@ def _cause(
     framed = [framing(image, cause.map.mended(pixels), cause.size) for cause in causes]
     best = int(np.argmin(framed))
     return causes[best], framing(image, pixels, image.size) - framed[best]
+
+
+def images_of(problem: CalibrationProblem) -> list[Image]:
+    """Return the images of all views."""
+    return [image_of(problem, view) for view in range(len(problem.poses))]
 
 
 def image_of(problem: CalibrationProblem, view: int) -> Image:

@@ -1,5 +1,7 @@
 """Which images are turned shows where most cameras have the direction upwards."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +11,7 @@ from models.causes.upright import quarter_turns
 DOWN_TO_AXES = Rotation.from_euler("x", 90, degrees=True)  # z of the room is up, y of images down
 
 
-def cameras(turns: list[float]) -> np.ndarray:
+def cameras(turns: Sequence[float]) -> np.ndarray:
     """Cameras (K, 3, 3) about a subject, tilted by up to 30 degrees, turned in their image."""
     about = Rotation.from_euler(
         "z", 360 / len(turns) * np.arange(len(turns))[:, None], degrees=True
@@ -20,7 +22,7 @@ def cameras(turns: list[float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("turns", [[0, 4, 0, -6], [90, 0, 3, 0], [0, 0, 180, 2], [0, -90, 0, 0, 8]])
-def test_turns_are_found_in_any_frame(turns: list[float]) -> None:
+def test_turns_are_found_in_any_frame(turns: Sequence[float]) -> None:
     expected = np.round(np.array(turns) / 90).astype(int) % 4
     rig = cameras(turns)
     found, against = quarter_turns(rig)
