@@ -49,6 +49,7 @@ LEFT_OVER = 0.05  # most of what free lenses gained at first, once all causes ar
 PROMISING = 2.0  # nats that one must gain with a few points
 HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones
 EXPLAINED = 0.25  # least share of what free lenses of all views gain
+MOVING = 0.1  # of the subject's radius: if more is left with any static lenses, cameras move
 MOST_CROPPED = 0.6  # of an image's width and height, to the left and above a window
 TURNED = ("on_its_side", "axes_exchanged")
 
@@ -111,6 +112,8 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
         if odd:
             noise, few = few.noise, few.noisy_as(freed)
             wrong[-1] *= (noise / few.noise) ** 2
+            if not stands and few.noise > MOVING * few.size:
+                break
             many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
             known = few.tried(usual, [known.fit.rig])
             search = _Search(problem, few, many, known, freed, left)

@@ -226,9 +226,7 @@ class Teaching:
             noisy=self._noisy_frames(),
             edges=self._edges,
         )
-        # Pixels of single views are held against static cameras that keypoints show.
-        given = self._config.cameras == "moving" or task.problem.posed
-        return task if given else (yield from with_causes(task))
+        return (yield from with_causes(task))
 
     def _searched(self) -> NDArray[np.int64]:
         """Return places among those frames, sorted, of the ones that a search uses."""
