@@ -7,8 +7,7 @@ from typing import get_args
 import numpy as np
 
 from models.bundle.problem import CENTRE_X, FOCAL, RADIAL
-from models.calibrating.image_sizes import Images
-from models.calibrating.problem import CalibrationProblem
+from models.calibrating.problem import USUAL_FOCAL, CalibrationProblem
 from models.calibrating.result import SelfCalibration
 from models.findings.catalogue import CauseCode
 from models.findings.finding import Finding
@@ -34,7 +33,7 @@ def camera_findings(problem: CalibrationProblem, found: SelfCalibration) -> tupl
     Given numbers of a camera that are kept get no findings.
     """
     return (
-        *_lenses(found, problem.images),
+        *_lenses(problem, found),
         *_given(problem, found),
         *_noise(found, problem.size),
         *_opposite(found),
@@ -57,8 +56,8 @@ def without_symptoms(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if not is_symptom(finding))
 
 
-def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:
-    lenses, deviations = found.rig.lenses, found.deviations
+def _lenses(problem: CalibrationProblem, found: SelfCalibration) -> Iterator[Finding]:
+    lenses, deviations, images = found.rig.lenses, found.deviations, problem.images
     sought = deviations[:, FOCAL] > 0  # (K,)
     unsure = sought & (deviations[:, FOCAL] > UNSURE_FOCAL)
     if unsure.any():
@@ -70,7 +69,8 @@ def _lenses(found: SelfCalibration, images: Images) -> Iterator[Finding]:
     focals = lenses.focals.mean(-1) / images.sizes.max(-1)  # (K,) in sides
     away = np.abs(lenses.centres - images.middles).max(-1) / images.sizes.max(-1)
     bent = np.where(lenses.models == PINHOLE, np.abs(lenses.distortion[:, 0]), 0)
-    extreme = sought & ((focals < SHORTEST) | (focals > LONGEST))
+    boxes = problem.usual.lenses.focals.mean(-1) / images.sizes.max(-1) / USUAL_FOCAL  # (K,)
+    extreme = sought & ((focals < boxes * SHORTEST) | (focals > boxes * LONGEST))
     extreme |= (deviations[:, CENTRE_X] > 0) & (away > OFF_CENTRE)
     extreme |= (deviations[:, RADIAL] > 0) & (bent > MOST_BENT)
     if extreme.any():

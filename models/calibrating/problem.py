@@ -21,7 +21,7 @@ from models.bundle.problem import (
 )
 from models.bundle.shape_model import ShapeModel
 from models.calibrating.image_sizes import Images, ImageSizes, images_of
-from models.capture.boxes import stretched_views
+from models.capture.boxes import boxes_of
 from models.epipolar.static_rig import Geometry
 from models.numerics.rotations import rotations_from_vectors
 from models.optics.lenses.projection import COEFFICIENTS, Lenses, index_of, project
@@ -32,6 +32,8 @@ from models.settings.lenses import Lens, alike_views, known_lenses, lens_of_each
 Float64 = NDArray[np.float64]
 
 USUAL_FOCAL = 1.2  # times the longer side of the image: a field of view of 45 degrees
+# The same of a box: a subject that fills most of it at a distance of some eight heights; a guess.
+USUAL_FOCAL_OF_BOXES = 6.0
 CLEAR = 0.005  # noise as a share of the subject's size, from which it biases estimates with shapes
 NOISE_SLACK = 1e-4  # of the image's side: differences of noise below which nothing is concluded
 
@@ -118,7 +120,7 @@ def problem_of(
     views = keypoints.shape[1]
     calibration = config.calibration or (None,) * views
     images = images_of(keypoints, weights, image_sizes)
-    usual = usual_rig(images, stretched_views(keypoints, weights))
+    usual = usual_rig(images, boxes_of(keypoints, weights).stretched)
     reference, lens_sds = with_given_lenses(usual, calibration)
     alike = config.cameras_alike
     groups = np.arange(views) if alike is False else np.zeros(views, np.int64)
@@ -250,6 +252,24 @@ def _pose_of(camera: Camera | None) -> Pose | None:
     given = np.array(camera.rotation, np.float64)
     matrix = given if given.shape == (3, 3) else rotations_from_vectors(given)
     return Pose(matrix, np.array(camera.translation, np.float64))
+
+
+def expecting_boxes(problem: CalibrationProblem) -> CalibrationProblem:
+    """Return the problem with usual lenses of boxes where views that move show boxes.
+
+    Given focal lengths stay.
+    """
+    found = problem.geometry and problem.geometry.rig
+    shown = boxes_of(problem.keypoints, problem.weights).shown
+    shown &= np.isinf(problem.lens_sds[:, FOCAL]) & (True if found is None else ~found.static)
+    factors = np.where(shown, USUAL_FOCAL_OF_BOXES / USUAL_FOCAL, 1.0)[:, None]  # (K, 1)
+
+    def lengthened(rig: Rig) -> Rig:
+        return rig._replace(lenses=rig.lenses._replace(focals=factors * rig.lenses.focals))
+
+    return problem._replace(
+        usual=lengthened(problem.usual), reference=lengthened(problem.reference)
+    )
 
 
 def usual_rig(images: Images, stretched: NDArray[np.bool_] | None = None) -> Rig:

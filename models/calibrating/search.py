@@ -23,7 +23,7 @@ from models.calibrating.given_cameras import (
 from models.calibrating.handedness import certainty, choose_handedness
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.moving_lenses import scan_moving_lenses, scanned_views
-from models.calibrating.problem import CalibrationProblem, Solution
+from models.calibrating.problem import CalibrationProblem, Solution, expecting_boxes
 from models.epipolar.static_rig import StaticRig
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
@@ -61,6 +61,7 @@ def search(
     NothingFoundError
         When no frame can be explained at all.
     """
+    problem = expecting_boxes(problem)
     found = yield from _search(problem, answers, config)
     given: Bool = np.any(np.isfinite(problem.lens_sds), 1)  # (K,)
     refused: Bool = np.all(np.isinf(found.checked.problem.lens_sds), 1) & given

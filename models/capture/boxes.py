@@ -1,9 +1,11 @@
 """Views that show a detector's boxes about the subject, resized to one shape in every frame.
 
-A box is as wide and as high as the subject is in its frame. So if boxes of all proportions become
-images of one shape, the subject has nearly the same place, width and height in all of these, and
-each is stretched in another way. Cameras show such images only of subjects that do not move.
+The middle of a box is that of the subject. If boxes of all proportions become images of one shape,
+the subject has nearly the same width and height in all of these, too, and each is stretched in
+another way. Cameras show such images only of subjects that do not move.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +23,20 @@ FEWEST = 20  # frames
 TO_SD = 1.4826  # standard deviations of a Gaussian in its median absolute deviation
 
 
-def stretched_views(keypoints: Float64, weights: Float64) -> Bool:
-    """Return which views (K,) show boxes of keypoints (N, K, P, 2) that are stretched.
+class Boxes(NamedTuple):
+    """Which of K views show a detector's boxes."""
+
+    shown: Bool  # (K,)
+    stretched: Bool  # (K,) and whether boxes of all proportions are resized to one shape
+
+
+def boxes_of(keypoints: Float64, weights: Float64) -> Boxes:
+    """Return which views of keypoints (N, K, P, 2) show boxes.
 
     `weights` (N, K, P) are 0 where not observed.
     """
-    found = np.zeros(keypoints.shape[1], bool)
-    for view in range(len(found)):
+    found = Boxes(*np.zeros((2, keypoints.shape[1]), bool))
+    for view in range(len(found.shown)):
         seen = weights[:, view] > 0  # (N, P)
         frames = seen.sum(1) >= (1 - MOST_HIDDEN) * seen.any(0).sum()
         frames &= seen.sum(1) > 1
@@ -40,8 +49,9 @@ def stretched_views(keypoints: Float64, weights: Float64) -> Bool:
         if not (extents > 0).all():
             continue
         places = (high + low) / 2 / np.median(extents, 0)
-        scatters = _scatter(np.log(extents)), _scatter(places)
-        found[view] = (scatters[0] < LIKE_SIZE).all() and (scatters[1] < LIKE_PLACE).all()
+        found.shown[view] = (_scatter(places) < LIKE_PLACE).all()
+        alike = (_scatter(np.log(extents)) < LIKE_SIZE).all()
+        found.stretched[view] = found.shown[view] and alike
     return found
 
 

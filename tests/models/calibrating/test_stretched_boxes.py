@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from models.capture.boxes import stretched_views
+from models.capture.boxes import boxes_of
 from models.capture.metrics import pa_mpjpe
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
@@ -38,16 +38,20 @@ def fitted() -> FittedPrior:
 def test_the_view_in_boxes_is_found_and_no_other() -> None:
     keypoints, _, _ = boxed()
     seen = np.ones(keypoints.shape[:3])
-    assert stretched_views(keypoints, seen).tolist() == [False, True, False, False]
+    found = boxes_of(keypoints, seen)
+    assert found.shown.tolist() == found.stretched.tolist() == [False, True, False, False]
     seen[:, :, 3] = 0
     keypoints[:, :, 3] = 1e5  # not observed
-    assert stretched_views(keypoints, seen)[VIEW]
+    assert boxes_of(keypoints, seen).stretched[VIEW]
 
 
 def test_boxes_that_keep_the_aspect_are_not_stretched() -> None:
     keypoints, _, ratios = boxed()
-    keypoints[:, VIEW, :, 0] /= ratios[:, None]
-    assert not stretched_views(keypoints, np.ones(keypoints.shape[:3])).any()
+    middle = SIDE / 2
+    keypoints[:, VIEW, :, 0] = middle + (keypoints[:, VIEW, :, 0] - middle) / ratios[:, None]
+    found = boxes_of(keypoints, np.ones(keypoints.shape[:3]))
+    assert found.shown.tolist() == [False, True, False, False]
+    assert not found.stretched.any()
 
 
 def test_structures_are_as_true_as_without_boxes(fitted: FittedPrior) -> None:
