@@ -43,7 +43,7 @@ class Cause(NamedTuple):
     view: int
     numbers: dict[str, float]
     sds: dict[str, float]
-    gain: float  # nats that other frames are more likely with it
+    gain: float  # nats that the keypoints are likelier with it, and with others of its kind
     map: PixelMap  # that undoes it
     size: tuple[int, int] | None = None  # of the mended image; None if it is not known
     partners: tuple[int, ...] = ()  # (P,) which keypoint each changes places with; () if none does

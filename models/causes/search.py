@@ -7,7 +7,6 @@ its pixels mended.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,27 +15,19 @@ from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import CalibrationProblem
 from models.causes.cause import Cause
 from models.causes.free_rig import CENTRE, RADIAL, FreeRig
-from models.causes.hypotheses import (
-    BENDS,
-    LEAST_OFFSET,
-    Candidate,
-    Image,
-    candidates,
-    causes_of,
-    framing,
-    of_several,
-)
+from models.causes.hypotheses import Candidate, causes_of
 from models.causes.pixel_map import PixelMap
-from models.causes.sightings import (
-    FEW,
-    FIRST_ITERATIONS,
-    MANY,
-    Even,
-    Sightings,
-    Trial,
-    sightings,
+from models.causes.sightings import FEW, MANY, Trial, sightings
+from models.causes.trials import (
+    Found,
+    Search,
+    image_of,
+    images_of,
+    likely_ones,
+    possible,
+    settled,
 )
-from models.causes.upright import QUARTER, quarter_turns
+from models.causes.upright import quarter_turns
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 
@@ -44,42 +35,10 @@ LEAST_VIEWS = 3
 WORTH = 8.0  # nats that free lenses must gain for a search to begin
 NAMED = 10.0  # nats for a cause to be named
 CLEARLY, SURE = 6.0, 2.5  # nats beyond those of other views, and in their standard errors
-FINALISTS, FINALS = 7, 3  # hypotheses that are tried with many points, and by all cameras anew
+FINALS = 3  # hypotheses for which all cameras are found anew
 LEFT_OVER = 0.05  # most of what free lenses gained at first, once all causes are undone
-PROMISING = 2.0  # nats that one must gain with a few points
-HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones
 EXPLAINED = 0.25  # least share of what free lenses of all views gain
 MOVING = 0.1  # of the subject's radius: if more is left with any static lenses, cameras move
-MOST_CROPPED = 0.6  # of an image's width and height, to the left and above a window
-TURNED = ("on_its_side", "axes_exchanged")
-
-
-class _Found(NamedTuple):
-    """Causes of one hypothesis, and how well all views are explained with them."""
-
-    causes: tuple[Cause, ...]
-    gain: float  # nats
-    candidate: Candidate
-    trial: Trial
-
-
-class _Trial(NamedTuple):
-    """A hypothesis of one view, tried with a few points."""
-
-    cost: float  # nats, with those against the hypothesis
-    candidate: Candidate
-    trial: Trial
-
-
-class _Search(NamedTuple):
-    """What causes are held against."""
-
-    problem: CalibrationProblem
-    few: Sightings
-    many: Sightings
-    known: Trial  # of a few points, with nothing wrong
-    freed: Trial  # the same with any lenses
-    left: list[int]  # the views that have no cause yet
 
 
 def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
@@ -116,7 +75,7 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
                 break
             many = sightings(problem, rig.best.rig, rig.noise, MANY)._replace(noise=few.noise)
             known = few.tried(usual, [known.fit.rig])
-            search = _Search(problem, few, many, known, freed, left)
+            search = Search(problem, few, many, known, freed, left)
             found = yield from _clearest(search)
         if found is None:
             turned = [] if odd else _turned_views(problem, known, left)
@@ -132,7 +91,7 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
     return tuple(sorted(causes + turned, key=lambda cause: cause.view))
 
 
-def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProblem] | None]:
+def _clearest(search: Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProblem] | None]:
     """Return what explains the keypoints best, and the problem without it.
 
     The cameras are found from the start for the best kinds and views, for what was found step by
@@ -144,14 +103,14 @@ def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProb
     usual = nothing.cost + quarter_turns(nothing.fit.rig.rotations)[1]
     least = max(NAMED, EXPLAINED * (nothing.cost - freed.cost))
     images = images_of(search.problem)
-    likely, every = yield from _likely(search)
-    settled: dict[tuple[str, tuple[int, ...]], list[_Found]] = {}
+    likely, every = yield from likely_ones(search)
+    tried: dict[tuple[str, tuple[int, ...]], list[Found]] = {}
     for each in likely:
         yield
-        found = _settled(search, each.candidate, [each.trial.fit.rig], usual)
-        settled.setdefault(each.candidate.place, []).append(found)
-    best = sorted((max(some, key=_gain) for some in settled.values()), key=_gain, reverse=True)
-    finals: list[tuple[_Found, CalibrationProblem | None]] = []
+        found = settled(search, each.candidate, [each.trial.fit.rig], usual)
+        tried.setdefault(each.candidate.place, []).append(found)
+    best = sorted((max(some, key=_gain) for some in tried.values()), key=_gain, reverse=True)
+    finals: list[tuple[Found, CalibrationProblem | None]] = []
     for found in best[:FINALS]:
         problem = None
         if _gain(found) > max(NAMED, least / 3):  # it may be far from its best cameras yet
@@ -163,8 +122,8 @@ def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProb
             if candidate.place == found.candidate.place:
                 yield
                 start = _harmed(problem.geometry.rig, found, candidate, known)
-                again.append(_settled(search, candidate, [start], usual))
-        again = [each for each in again if _possible(each.candidate, each.trial, images)]
+                again.append(settled(search, candidate, [start], usual))
+        again = [each for each in again if possible(each.candidate, each.trial, images)]
         if not again:
             continue
         last = max(again, key=_gain)
@@ -180,11 +139,11 @@ def _clearest(search: _Search) -> Steps[tuple[tuple[Cause, ...], CalibrationProb
     return None if problem is None else (found.causes, problem)
 
 
-def _gain(found: _Found) -> float:
+def _gain(found: Found) -> float:
     return found.gain
 
 
-def _clear(found: _Found, other: _Found) -> bool:
+def _clear(found: Found, other: Found) -> bool:
     """Whether one explanation is better than another, whichever points had been seen.
 
     By the standard error of the sum of the points' differences (Vuong, *Likelihood ratio tests for
@@ -195,11 +154,11 @@ def _clear(found: _Found, other: _Found) -> bool:
     return _gain(found) - _gain(other) > max(CLEARLY, SURE * error)
 
 
-def _maps(found: _Found) -> list[PixelMap]:
+def _maps(found: Found) -> list[PixelMap]:
     return [cause.map for cause in found.causes]
 
 
-def _standing(search: _Search, causes: Sequence[Cause]) -> Steps[CalibrationProblem | None]:
+def _standing(search: Search, causes: Sequence[Cause]) -> Steps[CalibrationProblem | None]:
     """Return the problem with causes undone, with its geometry; None if a camera is left out."""
     problem = search.problem
     for cause in causes:
@@ -209,7 +168,7 @@ def _standing(search: _Search, causes: Sequence[Cause]) -> Steps[CalibrationProb
     return problem._replace(geometry=geometry) if stands else None
 
 
-def _harmed(rig: StaticRig, found: _Found, candidate: Candidate, known: Trial) -> FreeRig:
+def _harmed(rig: StaticRig, found: Found, candidate: Candidate, known: Trial) -> FreeRig:
     """Return the cameras of mended pixels with the lenses that a candidate expects."""
     lens = candidate.hypothesis.beliefs.means - known.hypothesis.beliefs.means
     if candidate.kind == "cropped":
@@ -236,123 +195,6 @@ def _without(problem: CalibrationProblem, cause: Cause) -> CalibrationProblem:
     reference = problem.reference._replace(lenses=lenses._replace(centres=centres))
     images = images._replace(sizes=sizes, middles=middles)
     return problem._replace(images=images, reference=reference)
-
-
-def _freed(search: _Search) -> Steps[list[tuple[int, Trial]]]:
-    """Return trials of a few points, each with one view's pixels free."""
-    found: list[tuple[int, Trial]] = []
-    few, known = search.few, search.known
-    start, usual = known.fit.rig, known.hypothesis
-    for view in search.left:
-        yield
-        free = usual.freed(view)
-        trial = few.tried(free, [start])
-        found.append((view, trial))
-        half = image_of(search.problem, view).width / 2 / search.problem.side
-        bends = [free.shown(view, Even(bend=bend, half=half)) for bend in BENDS]
-        bent = min((few.tried(each, [trial.fit.rig]) for each in bends), key=lambda t: t.cost)
-        if bent.cost < trial.cost - PROMISING:
-            found.append((view, bent))
-        yield
-        mirrored = usual.shown(view, Even(mirrored=True))
-        mirrored_free = mirrored.freed(view, aspect=0.0)
-        starts = few.mirror_starts(mirrored, start, view)
-        roughly = few.tried(mirrored_free, starts, iterations=FIRST_ITERATIONS)
-        if roughly.cost < 2 * known.cost + HOPELESS:
-            found.append((view, few.tried(mirrored_free, [roughly.fit.rig])))
-    return found
-
-
-def _likely(search: _Search) -> Steps[tuple[list[_Trial], list[Candidate]]]:
-    """Return the hypotheses that explain a few points best, the best first, and all hypotheses."""
-    few, known = search.few, search.known
-    found: list[_Trial] = []
-    widths = search.problem.images.sizes[search.problem.images.known, 0].tolist()
-    for view, trial in (yield from _freed(search)):
-        image, base = image_of(search.problem, view), known.hypothesis
-        ratios = {width / image.width for width in widths if image.known}
-        base = base.shown(view, trial.hypothesis.evens[view])
-        for candidate in candidates(image, view, base, trial.fit.rig.lenses[view], ratios):
-            yield
-            found.append(_first(few, candidate, trial))
-    images = images_of(search.problem)
-    for candidate in of_several(images, known.hypothesis, search.left):
-        yield
-        found.append(_first(few, candidate, known))
-    found = [each for each in found if _possible(each.candidate, each.trial, images)]
-    best: dict[tuple[str, tuple[int, ...], bool], _Trial] = {}
-    for each in sorted(found, key=_cost):
-        best.setdefault((*each.candidate.place, "from_corner" in each.candidate.numbers), each)
-    likely = []
-    for each in best.values():
-        yield
-        tried = few.tried(each.candidate.hypothesis, [each.trial.fit.rig])
-        likely.append(_Trial(tried.cost + each.candidate.nats, each.candidate, tried))
-    likely = [each for each in likely if known.cost - each.cost > PROMISING]
-    return sorted(likely, key=_cost)[:FINALISTS], [each.candidate for each in found]
-
-
-def _first(few: Sightings, candidate: Candidate, near: Trial) -> _Trial:
-    """Try a hypothesis with a few steps, from several starts."""
-    starts = few.starts(candidate.hypothesis, near, candidate.views)
-    tried = few.tried(candidate.hypothesis, starts, iterations=0)
-    return _Trial(tried.cost + candidate.nats, candidate, tried)
-
-
-def _cost(each: _Trial) -> float:
-    return each.cost
-
-
-def _settled(search: _Search, candidate: Candidate, starts: list[FreeRig], usual: float) -> _Found:
-    """Try a hypothesis with many points; `usual` are the nats against them with nothing wrong."""
-    trial = search.many.tried(candidate.hypothesis, starts)
-    quarters, against = quarter_turns(trial.fit.rig.rotations)
-    gain = usual - trial.cost - candidate.nats - against + QUARTER * (candidate.kind in TURNED)
-    causes = []
-    for view in candidate.views:
-        cause, framed = _cause(search, candidate, trial, view, int(quarters[view]))
-        causes.append(cause)
-        gain += framed
-    return _Found(tuple(cause._replace(gain=gain) for cause in causes), gain, candidate, trial)
-
-
-def _possible(candidate: Candidate, trial: Trial, images: Sequence[Image]) -> bool:
-    """Whether a window's corner is well inside the image, and an image that is turned seen so."""
-    if candidate.kind == "cropped":
-        corners = -trial.fit.rig.lenses[list(candidate.views), CENTRE:RADIAL]
-        most = 2 * MOST_CROPPED * np.array([images[v].middle_in_sides for v in candidate.views])
-        far = np.hypot(*corners.T) > LEAST_OFFSET
-        return bool(far.all() and (corners > -LEAST_OFFSET).all() and (corners < most).all())
-    turned = quarter_turns(trial.fit.rig.rotations)[0][candidate.views[0]] % 2 == 1
-    return bool(turned == (candidate.kind in TURNED)) or candidate.kind not in (*TURNED, "mirrored")
-
-
-def _cause(
-    search: _Search, candidate: Candidate, trial: Trial, view: int, quarters: int
-) -> tuple[Cause, float]:
-    """Return the cause of a view with the map that suits best, and nats for it from the framing."""
-    problem = search.problem
-    image, lens = image_of(problem, view), trial.fit.rig.lenses[view]
-    free = trial._replace(hypothesis=trial.hypothesis.freed(view, centre=0.0))
-    sds = search.many.deviations(free if candidate.kind == "stretched" else trial)[view]
-    pixels = problem.detected[:, view][problem.weights[:, view] > 0]
-    causes = causes_of(candidate, view, image, lens, sds, quarters)
-    framed = [framing(image, cause.map.mended(pixels), cause.size) for cause in causes]
-    best = int(np.argmin(framed))
-    return causes[best], framing(image, pixels, image.size) - framed[best]
-
-
-def images_of(problem: CalibrationProblem) -> list[Image]:
-    """Return the images of all views."""
-    return [image_of(problem, view) for view in range(len(problem.poses))]
-
-
-def image_of(problem: CalibrationProblem, view: int) -> Image:
-    """Return the image of a view."""
-    images = problem.images
-    width, height = images.sizes[view].tolist()
-    x, y = problem.reference.lenses.centres[view].tolist()
-    return Image(width, height, (x, y), problem.side, bool(images.known[view]))
 
 
 def _turned_views(problem: CalibrationProblem, trial: Trial, left: list[int]) -> list[Cause]:
