@@ -177,7 +177,7 @@ def framing(image: Image, pixels: Float64, size: tuple[int, int] | None) -> floa
 def causes_of(
     found: Candidate, view: int, image: Image, lens: Float64, sds: Float64, turned: int
 ) -> list[Cause]:
-    """Return causes of a view, with maps; more than one if where pixels are tells them apart.
+    """Return causes of a view, with maps; more than one if the framing decides between them.
 
     `lens` (6,) is as estimated, with deviations; `turned` are quarter turns of the image clockwise.
     """

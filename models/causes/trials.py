@@ -1,4 +1,4 @@
-"""Hypotheses of views' pixels: which are likely with a few points, and what many say of each."""
+"""Hypotheses of views' pixels: which are likely with a few points, and how likely with many."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
