@@ -75,11 +75,14 @@ def settled_pixels(page: Page, canvas: Locator) -> str:
           return Object.assign(document.createElement("canvas"), { width, height }).toDataURL();
         }"""
     )
-    before, shown = "", pixels(canvas)
-    while shown != before or shown == nothing:
+    before = ""
+    for _ in range(100):
+        shown = pixels(canvas)
+        if shown == before != nothing:
+            return shown
+        before = shown
         page.wait_for_timeout(300)
-        before, shown = shown, pixels(canvas)
-    return shown
+    raise AssertionError("the picture does not settle within 30 seconds")
 
 
 def test_a_position_has_a_band_and_a_speed_has_none(
