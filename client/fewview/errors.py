@@ -145,8 +145,7 @@ class FormatError(FewviewError, ValueError):
     place
         The file, camera or folder where it is; "" if it is none of these.
     option
-        The option of reading that is wrong or missing, as `ReadingOptions` names it; None if it is
-        the files.
+        The option that is wrong or missing, as Python names it; None if it is the files.
     remedy
         A value of the option that helps, or its form; "" if none is known.
     """

@@ -37,8 +37,8 @@ def joints_of(names: Sequence[str] | None) -> list[list[int]]:
             if not places:
                 raise ValueError(
                     f"the height needs keypoints named shoulder, hip, knee and ankle of both "
-                    f"sides: there is no {side}_{joint}; take known_length "
-                    "(--known-length)"
+                    f"sides: there is no {side}_{joint}; give the fit a "
+                    "known length"
                 )
             sides.append(places[0])
         found.append(sides)

@@ -129,7 +129,9 @@ def openmonkeystudio(folder: File, *, batch: str) -> Capture:
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise FormatError(f"expected the files of OMS_Data ({error})", place=folder) from error
     if (points[..., :1] != points[:, :1, :1]).any():
-        raise FormatError(f"{place}: expected {MACAQUE_POINTS} rows of coordinates for each frame")
+        raise FormatError(
+            f"expected {MACAQUE_POINTS} rows of coordinates for each frame", place=place
+        )
     frames = {int(number): index for index, number in enumerate(points[:, 0, 0])}
     cameras = {int(number): index for index, number in enumerate(np.unique(crops[:, 1]))}
     corners = {(int(crop[0]), int(crop[1])): crop[2:4] for crop in crops}
@@ -194,7 +196,7 @@ def _chosen(file: Path, name: str, subject: str, action: str) -> Any:
 
 def _listed(file: Path) -> Any:
     if file.stat().st_size > MAX_BYTES:
-        raise FormatError(f"{file} has more than {MAX_BYTES} bytes")
+        raise FormatError(f"has more than {MAX_BYTES} bytes", place=file)
     try:
         return np.array(json.loads(file.read_bytes()), np.float64)
     except (ValueError, TypeError, RecursionError) as error:

@@ -47,8 +47,6 @@ def animation_file(
     ApiError
         422 with the reason why the format cannot hold them.
     """
-    if format == "trc" and unit is None:
-        raise invalid("/unit", "expected m or mm: TRC names the unit of its points")
     names = skeleton.keypoint_names
     try:
         animation = Animation(
@@ -64,5 +62,8 @@ def animation_file(
             target = Path(folder, f"animation{SUFFIXES[format]}")
             write(target, animation, format)
             return AnimationFile(target.read_bytes(), SUFFIXES[format])
-    except (FormatError, ValueError) as error:
+    except FormatError as error:
+        field = error.option or "format"
+        raise invalid(f"/{field}", error.worded("", f"{field}={error.remedy}")) from error
+    except ValueError as error:
         raise invalid("/format", str(error)) from error

@@ -78,8 +78,9 @@ def write(path: Path, cameras: Sequence[Camera]) -> None:
             raise FormatError(f"camera {camera.name!r} has no pose, which this format needs")
         if camera.size is None:
             raise FormatError(
-                f"camera {camera.name!r} has no image size, which this format needs: "
-                "give it with the capture (image_sizes, --image-size)"
+                f"camera {camera.name!r} has no image size: this format needs that of the capture",
+                option="image_size",
+                remedy="WIDTHxHEIGHT",
             )
         values = {
             "name": camera.name,

@@ -54,7 +54,9 @@ def read(path: Path) -> list[Camera]:
         _, *pose, number, name = line.split(maxsplit=9)
         lens = lenses.get(number)
         if lens is None:
-            raise FormatError(f"{folder}: image {name!r} is of camera {number}, which is missing")
+            raise FormatError(
+                f"image {name!r} is of camera {number}, which is missing", place=folder
+            )
         turn = _rotation(np.array(pose[:4], dtype=np.float64))
         shift = np.array(pose[4:], dtype=np.float64)
         used.add(number)
@@ -131,8 +133,9 @@ def _model(camera: Camera) -> str:
     """Return MODEL, WIDTH, HEIGHT and PARAMS, of the smallest model that has all coefficients."""
     if camera.size is None:
         raise FormatError(
-            f"camera {camera.name!r} has no image size, which COLMAP needs: give it with "
-            "the capture (image_sizes, --image-size)"
+            f"camera {camera.name!r} has no image size: COLMAP needs that of the capture",
+            option="image_size",
+            remedy="WIDTHxHEIGHT",
         )
     if camera.matrix[0, 1]:
         raise FormatError(f"camera {camera.name!r} has skew, which COLMAP's models have not")

@@ -39,11 +39,13 @@ def text_of(path: Path, limit: int = MAX_BYTES) -> str:
     with path.open("rb") as file:
         content = file.read(limit + 1)
     if len(content) > limit:
-        raise FormatError(f"{path}: a calibration has {limit} bytes at most: is it another file?")
+        raise FormatError(
+            f"a calibration has {limit} bytes at most: is it another file?", place=path
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: expected text in UTF-8; save it so") from error
+        raise FormatError("expected text in UTF-8; save it so", place=path) from error
 
 
 def json_of(path: Path, text: str) -> Any:
@@ -52,24 +54,24 @@ def json_of(path: Path, text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError as error:
-        raise FormatError(f"{path}: broken JSON ({error})") from error
+        raise FormatError(f"broken JSON ({error})", place=path) from error
 
 
 def toml_of(path: Path, text: str) -> dict[str, Any]:
     """Parse TOML; raise ``FormatError`` if it is broken, or has what no calibration has."""
     if '"""' in text or "'''" in text:
-        raise FormatError(f"{path}: texts of several lines are in no calibration: take them out")
+        raise FormatError("texts of several lines are in no calibration: take them out", place=path)
     plain = COMMENTS.sub("", STRINGS.sub("s", text))
     _check_depth(path, plain)
     parts = BETWEEN_KEYS.split(plain)
     if max(part.count(".") for part in parts) >= MAX_KEY_PARTS:
-        raise FormatError(f"{path}: a key has {MAX_KEY_PARTS} parts at most: name it plainly")
+        raise FormatError(f"a key has {MAX_KEY_PARTS} parts at most: name it plainly", place=path)
     if len(parts) > MAX_NODES:
         raise _too_many(path)
     try:
         return tomllib.loads(text)
     except ValueError as error:
-        raise FormatError(f"{path}: broken TOML ({error})") from error
+        raise FormatError(f"broken TOML ({error})", place=path) from error
 
 
 def yaml_of(path: Path, text: str) -> Any:
@@ -83,7 +85,7 @@ def yaml_of(path: Path, text: str) -> Any:
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
-                raise FormatError(f"{path}: aliases (*name) are not read: write the values out")
+                raise FormatError("aliases (*name) are not read: write the values out", place=path)
             self.nodes += 1
             self.depth += 1
             if self.nodes > MAX_NODES:
@@ -92,7 +94,7 @@ def yaml_of(path: Path, text: str) -> Any:
                 raise _too_deep(path)
             node = super().compose_node(parent, index)
             if isinstance(node, yaml.ScalarNode) and len(node.value) > MAX_SCALAR:
-                raise FormatError(f"{path}: a value has {MAX_SCALAR} characters at most")
+                raise FormatError(f"a value has {MAX_SCALAR} characters at most", place=path)
             self.depth -= 1
             return node
 
@@ -109,7 +111,7 @@ def yaml_of(path: Path, text: str) -> Any:
     except (yaml.YAMLError, ValueError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{path}: broken YAML ({error})") from error
+        raise FormatError(f"broken YAML ({error})", place=path) from error
 
 
 def _check_depth(path: Path, plain: str) -> None:
@@ -122,11 +124,13 @@ def _check_depth(path: Path, plain: str) -> None:
 
 
 def _too_deep(path: Path) -> FormatError:
-    return FormatError(f"{path}: values are nested {MAX_DEPTH} times at most: is it a calibration?")
+    return FormatError(
+        f"values are nested {MAX_DEPTH} times at most: is it a calibration?", place=path
+    )
 
 
 def _too_many(path: Path) -> FormatError:
     return FormatError(
-        f"{path}: more than {MAX_NODES} values are in no calibration: take out what is not of "
-        "cameras"
+        f"more than {MAX_NODES} values are in no calibration: take out what is not of cameras",
+        place=path,
     )

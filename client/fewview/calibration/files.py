@@ -52,10 +52,10 @@ def read_cameras(path: str | PathLike[str], format: str | None = None) -> list[C
         *(OverflowError, np.linalg.LinAlgError),
     ) as error:
         reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise FormatError(f"{path}: {reason}") from error
+        raise FormatError(reason, place=path) from error
     if not found:
-        raise FormatError(f"{path} has no cameras")
-    check(str(path), found)
+        raise FormatError("has no cameras", place=path)
+    check(path, found)
     return found
 
 

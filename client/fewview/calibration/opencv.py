@@ -64,7 +64,7 @@ def read(path: Path) -> list[Camera]:
     if isinstance(fields, list) and fields and all(isinstance(camera, dict) for camera in fields):
         fields = {"cameras": fields}
     if not isinstance(fields, dict):
-        raise FormatError(f"{path}: expected a map, as cv::FileStorage writes it")
+        raise FormatError("expected a map, as cv::FileStorage writes it", place=path)
     if _get(fields, "matrix") is not None:
         return [_camera(str(fields.get("name", path.stem)), fields)]
     cameras = fields.get("cameras", fields)

@@ -1,6 +1,7 @@
 """What the cameras of a file must be to be cameras; the service checks the same."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -14,13 +15,13 @@ LARGEST_FOCAL = 1e9  # pixels
 ORTHONORMAL = 1e-3  # largest deviation of R R^T from 1 that rounding explains
 
 
-def check(where: str, cameras: list[Camera]) -> None:
+def check(path: Path, cameras: list[Camera]) -> None:
     """Raise ``FormatError`` that names file, camera, field and remedy, for what no camera is."""
     if len(cameras) > MOST_CAMERAS:
-        raise FormatError(f"{where}: {MOST_CAMERAS} cameras at most, it has {len(cameras)}")
+        raise FormatError(f"{MOST_CAMERAS} cameras at most, it has {len(cameras)}", place=path)
     for camera in cameras:
         for fault in _faults(camera):
-            raise FormatError(f"{where}: camera {camera.name[:LONGEST_NAME]!r}: {fault}")
+            raise FormatError(f"camera {camera.name[:LONGEST_NAME]!r}: {fault}", place=path)
 
 
 def _faults(camera: Camera) -> Iterator[str]:

@@ -30,7 +30,7 @@ def workplace() -> Iterator[Path]:
             yield Path(folder)
         except FormatError as error:
             raise FormatError(
-                error.problem.replace(f"{folder}/", ""),
+                error.problem.replace(f"{folder}/", ""),  # libraries' messages name it
                 place=_within(error.place, Path(folder)),
                 option=error.option,
                 remedy=error.remedy,

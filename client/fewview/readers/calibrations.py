@@ -55,9 +55,7 @@ def calibrations_at(paths: Iterable[Path], notes: list[str]) -> FoundCalibration
         except (FormatError, OSError, ImportError, RecursionError) as error:
             if QUALISYS.search(path.name) or CALLED_SO.search(path.stem):
                 left.append(path)
-                notes.append(
-                    f"{path.name}: a calibration, which was left out: {_reason(path, error)}"
-                )
+                notes.append(f"{path.name}: a calibration, which was left out: {_reason(error)}")
     mine = frozenset((*read, *left))
     if not read:
         return FoundCalibration(mine)
@@ -134,7 +132,7 @@ def _cameras_in(path: Path) -> list[Camera]:
     return read_cameras(path)
 
 
-def _reason(path: Path, error: Exception) -> str:
+def _reason(error: Exception) -> str:
     if isinstance(error, ImportError):
         return "YAML is read where PyYAML is installed"
-    return " ".join(str(error).split()).removeprefix(f"{path}: ")
+    return " ".join((error.problem if isinstance(error, FormatError) else str(error)).split())

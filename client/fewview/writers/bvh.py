@@ -109,8 +109,7 @@ def _parents(animation: Animation) -> dict[int, int | None]:
         apart = ", ".join(names[joint] for joint in range(count) if pieces[joint] != pieces[0])
         raise FormatError(
             f"BVH needs edges that join all keypoints, {apart} are apart from {names[0]}; "
-            "name the keypoints of a body as its skeleton does (--skeleton), or give edges that "
-            "join all (`edges` of an npz)"
+            "name the keypoints of a body as a known skeleton does, or give edges that join all"
         )
     walks = [_walk(near, joint) for joint in range(count)]
     depths = [depth for _, depth in walks]

@@ -26,9 +26,10 @@ def write(path: Path, animation: Animation) -> None:
     """
     if animation.unit is None:
         raise FormatError(
-            "TRC names the unit of its points, and that of this animation is unknown: give the fit "
-            "a length (--known-length), a distance of cameras (--known-distance) or a calibration, "
-            "or give unit='m' or 'mm' (--unit)"
+            "TRC names the unit of its points, which is unknown where a fit is given no length, no "
+            "distance of cameras and no calibration",
+            option="unit",
+            remedy="m",
         )
     if any(character in name for name in animation.names for character in "\t\r\n"):
         raise FormatError("names in TRC stand between tabs: they can have no tab or line break")

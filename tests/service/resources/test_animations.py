@@ -98,7 +98,9 @@ def test_c3d_glb_bvh_and_csv_are_files_of_their_kind(
 
 def test_what_cannot_be_written_says_why(live: Live, fit: dict[str, Any]) -> None:
     url = f"/fits/{fit['id']}/animation"
-    assert "m or mm" in problem(live.http.get(f"{url}?format=trc"), 422, "invalid_input", "/unit")
+    assert "give unit=m" in problem(
+        live.http.get(f"{url}?format=trc"), 422, "invalid_input", "/unit"
+    )
     problem(live.http.get(url), 422, "invalid_input", "/format")
     problem(live.http.get(f"{url}?format=fbx"), 422, "invalid_input", "/format")
     problem(live.http.get(f"{url}?format=csv&up=auto"), 422, "invalid_input", "/up")
