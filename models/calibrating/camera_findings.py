@@ -1,4 +1,4 @@
-"""Findings about estimated cameras: doubtful lenses, noise, views that face each other."""
+"""Findings about estimated cameras: how they move, doubtful lenses, noise, opposite views."""
 
 from collections.abc import Iterable, Iterator
 from itertools import combinations
@@ -9,6 +9,7 @@ import numpy as np
 from models.bundle.problem import CENTRE_X, FOCAL, RADIAL
 from models.calibrating.problem import USUAL_FOCAL, CalibrationProblem
 from models.calibrating.result import SelfCalibration
+from models.epipolar.static_rig import SURE
 from models.findings.catalogue import CauseCode
 from models.findings.finding import Finding
 from models.optics.lenses.projection import PINHOLE
@@ -27,12 +28,15 @@ OF_VIEWS = ("lenses_extreme", "calibration_disagrees", "lens_disagrees")  # symp
 OF_ALL = ("noise_high", "views_opposite")
 
 
-def camera_findings(problem: CalibrationProblem, found: SelfCalibration) -> tuple[Finding, ...]:
-    """Return findings of the cameras that were found.
+def camera_findings(
+    problem: CalibrationProblem, found: SelfCalibration, *, declared: bool = False
+) -> tuple[Finding, ...]:
+    """Return findings of the cameras that were found, or that were `declared` static.
 
     Given numbers of a camera that are kept get no findings.
     """
     return (
+        *(() if declared else _arrangement(problem, found)),
         *_lenses(problem, found),
         *_given(problem, found),
         *_noise(found, problem.size),
@@ -54,6 +58,19 @@ def without_symptoms(findings: Iterable[Finding]) -> tuple[Finding, ...]:
         return finding.code in OF_ALL and bool(explained)
 
     return tuple(finding for finding in findings if not is_symptom(finding))
+
+
+def _arrangement(problem: CalibrationProblem, found: SelfCalibration) -> Iterator[Finding]:
+    """Yield a finding of two views that move, or that geometry does not show to be static."""
+    free = found.deviations[:, FOCAL] > 0
+    if len(free) != 2 or not free.any() or problem.posed:
+        return
+    moving, geometry = ~found.static, problem.geometry
+    if not moving.any() and geometry is not None:
+        rig = geometry.rig  # without one, shapes alone say that the cameras are static
+        moving = ~moving if rig is None else rig.motion.gains > SURE * rig.motion.errors
+    if moving.any():
+        yield Finding.of("arrangement_not_observable", views=np.flatnonzero(moving))
 
 
 def _lenses(problem: CalibrationProblem, found: SelfCalibration) -> Iterator[Finding]:

@@ -332,6 +332,7 @@ def _result(
         findings=findings,
         handedness_certainty=certain,
     )
-    of_cameras = noticed(camera_findings, problem, found)
+    declared = config.cameras == "static"
+    of_cameras = noticed(camera_findings, problem, found, declared=declared)
     of_lenses = yield from attempt_steps(lens_findings(problem, best, sds), ())
     return replace(found, findings=without_symptoms((*findings, *of_cameras, *of_lenses)))

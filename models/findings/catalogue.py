@@ -37,6 +37,7 @@ CameraCode = TypeAliasType(
         "known_length_disagrees",
         "known_distance_not_used",
         "camera_moved",
+        "arrangement_not_observable",
         "focal_not_observable",
         "lenses_limit_accuracy",
         "handedness_not_observable",
@@ -224,6 +225,15 @@ CATALOGUE: dict[FindingCode, Entry] = {
         " or in them, not in both.",
         "Fit the frames before and after the move separately, or with `cameras: moving`.",
     ),
+    "arrangement_not_observable": Entry(
+        "warning",
+        "Two views do not show how these cameras move: a camera that is carried, pans or zooms,"
+        " and images cropped about the subject explain the keypoints about as well, with other"
+        " lenses and depths. Of drawn captures like this one, every second was off by more than"
+        " three times what noise explains, and the standard deviations do not show it.",
+        "Put the cameras on tripods and leave them and their zoom alone, or add a third view. Give"
+        " what is known: `cameras: static`, the `lenses`.",
+    ),
     "focal_not_observable": Entry(
         "warning",
         "The keypoints hardly determine the focal length (a far or flat subject, or few frames). It"
@@ -252,7 +262,8 @@ CATALOGUE: dict[FindingCode, Entry] = {
     ),
     "views_opposite": Entry(
         "info",
-        "Two views look at the subject from opposite sides: together they hardly determine depth.",
+        "Two views look along nearly the same line, from the same side or from opposite sides"
+        " (`degrees` between their directions): together they hardly determine depth.",
         "Place the cameras 60 to 120 degrees apart, or add a view.",
     ),
     "noise_high": Entry(

@@ -42,6 +42,7 @@ REMEDY_FIELDS: dict[FindingCode, tuple[RemedyField, ...]] = {
     "known_length_disagrees": ("known_length", "known_distance", "calibration"),
     "known_distance_not_used": ("known_length", "known_distance", "cameras"),
     "camera_moved": ("cameras",),
+    "arrangement_not_observable": ("cameras", "lenses"),
     "focal_not_observable": ("lenses", "calibration", "cameras_alike"),
     "lenses_limit_accuracy": ("lenses", "calibration", "image_sizes", "cameras_alike"),
     "handedness_not_observable": ("handedness", "calibration"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, VIEW, make_rig
+from models.bundle.problem import CENTRE_X, FOCAL, RADIAL, VIEW, make_rig, moving_rig
 from models.bundle.shape_model import NetworkErrors, ShapeModel
 from models.calibrating.camera_findings import camera_findings
 from models.calibrating.image_sizes import Images
@@ -63,6 +63,15 @@ def findings(found: SelfCalibration, **lens: float) -> dict[str, Finding]:
 
 def test_ordinary_cameras_give_no_finding() -> None:
     assert not findings(calibration())
+
+
+def test_two_views_do_not_show_how_they_move() -> None:
+    static = calibration()
+    moving = replace(static, rig=moving_rig(static.rig.lenses))
+    assert "arrangement_not_observable" in findings(moving)
+    held = replace(moving, deviations=np.zeros((2, VIEW)))
+    assert "arrangement_not_observable" not in findings(held)
+    assert not camera_findings(problem(), moving, declared=True)
 
 
 @pytest.mark.parametrize("azimuth", [178.0, 4.0])
