@@ -17,6 +17,7 @@ from models.causes.cause import Cause
 from models.causes.free_rig import CENTRE, RADIAL, FreeRig
 from models.causes.hypotheses import Candidate, causes_of
 from models.causes.pixel_map import PixelMap
+from models.causes.sides import SidesExchanged, exchanged_sides
 from models.causes.sightings import FEW, MANY, Trial, sightings
 from models.causes.trials import (
     Found,
@@ -47,13 +48,37 @@ def find_causes(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
     `problem` has its geometry. The causes are to be undone in their order. The geometry is found
     anew without each before the next is sought. Causes that leave much unexplained are none.
     """
+    several = len(problem.poses) >= LEAST_VIEWS
+    sides = exchanged_sides(problem) if several and not _stands(problem) else None
+    if sides is not None:
+        yield
+        geometry = yield from geometry_of(sides.problem, declared=False)
+        causes = yield from _causes_of_pixels(sides.problem._replace(geometry=geometry))
+        if any(_is_mirror_of(cause, sides) for cause in causes):
+            return tuple(
+                cause._replace(partners=sides.partners) if _is_mirror_of(cause, sides) else cause
+                for cause in causes
+            )
+    return (yield from _causes_of_pixels(problem))
+
+
+def _is_mirror_of(cause: Cause, sides: SidesExchanged) -> bool:
+    return cause.view == sides.view and cause.kind == "mirrored"
+
+
+def _stands(problem: CalibrationProblem) -> bool:
+    rig = problem.geometry and problem.geometry.rig
+    return rig is not None and bool(rig.static.all())
+
+
+def _causes_of_pixels(problem: CalibrationProblem) -> Steps[tuple[Cause, ...]]:
+    """Find the causes as `find_causes` does, with keypoints that have their places."""
     causes: list[Cause] = []
     turned: list[Cause] = []
     wrong: list[float] = []  # nats that free lenses gain, before each cause
     left = list(range(len(problem.poses)))
     while len(left) > 1 and len(problem.poses) >= LEAST_VIEWS:
-        rig = problem.geometry and problem.geometry.rig
-        stands = rig is not None and bool(rig.static.all())
+        rig, stands = problem.geometry and problem.geometry.rig, _stands(problem)
         if not stands:  # a harm may be why
             forced = yield from geometry_of(problem, declared=True)
             rig = forced.rig

@@ -194,6 +194,9 @@ def _judge(
             found = found._replace(partners=found.partners if again is None else again)
     if named.mean() > ALL:
         named = every
+        # In all frames even keypoints that do not look alike, as of arms that swing, show it.
+        again = _partners(seen, view, found.matrices, np.ones_like(allowed))
+        found = found._replace(partners=found.partners if again is None else again)
     if named.sum() < max(LEAST_FRAMES, LEAST_SHARE * len(named)):
         return None
     mended = exchanged(seen, view, found.partners, named)

@@ -7,6 +7,7 @@ import pytest
 
 from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import CalibrationProblem, problem_of
+from models.capture.synthetic import KEYPOINT_NAMES
 from models.causes.cause import mended
 from models.causes.search import find_causes
 from models.numerics.steps import finished
@@ -51,6 +52,24 @@ def test_a_mirror_image_is_named_and_undone() -> None:
     assert (cause.kind, cause.view) == ("mirrored", 2)
     undone = mended(keypoints.astype(np.float32), None, None, (cause,)).keypoints
     assert np.nanmax(np.abs(undone - CAPTURE.keypoints)) < 1e-3
+
+
+def test_a_mirror_image_whose_sides_the_detector_exchanged_is_undone() -> None:
+    names = list(KEYPOINT_NAMES)
+    partners = [names.index(_other_side(name)) for name in names]
+    keypoints = CAPTURE.keypoints.copy()
+    keypoints[:, 2, :, 0] = IMAGE_SIZE[0] - 1 - keypoints[:, 2, :, 0]
+    keypoints[:, 2] = keypoints[:, 2][:, partners]
+    (cause,) = finished(find_causes(problem_with(keypoints)))
+    assert (cause.kind, cause.view, cause.partners) == ("mirrored", 2, tuple(partners))
+    assert cause.finding(applied=False).evidence["sides_exchanged"] == 1
+    undone = mended(keypoints.astype(np.float32), None, None, (cause,)).keypoints
+    assert np.nanmax(np.abs(undone - CAPTURE.keypoints)) < 1e-3
+
+
+def _other_side(name: str) -> str:
+    side, _, part = name.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
 
 
 @pytest.mark.thorough
