@@ -13,11 +13,10 @@ import torch
 from safetensors.numpy import save
 
 from models.calibrating.handedness import DECIDED
-from models.capture.clocks import in_step
 from models.capture.metrics import Reflection, pa_mpjpe, pck
-from models.capture.motion import with_neighbours
 from models.findings import advice
 from models.findings.finding import dumped, log_findings
+from models.lifting.film import Film, film_of
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames, join
 from models.numerics.tensor_files import WeightsError
@@ -26,7 +25,7 @@ from models.settings.config import FitConfig
 from models.training.trainer import Trainer
 from store import attempts, datasets, lookup, models
 from store.attempts import Attempt
-from store.capture import Capture, Float32, Float64
+from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import LeaseLostError
 from store.fits import load_fitted
@@ -42,7 +41,6 @@ from worker.time_slice import FitTurn
 
 logger = logging.getLogger(__name__)
 
-LIFT_FRAMES = 512  # lifted between two looks at what is asked of the attempt
 CHECKPOINT_SHARE = 20  # checkpoints may take a twentieth of the time, however large they are
 
 
@@ -123,8 +121,8 @@ def _run(
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
-    shown = in_step(capture.keypoints, capture.confidence, times, prior.capture.clocks)
-    lift = _reconstruct(prior, *shown, times, stopped)
+    film = film_of(prior, (capture.keypoints, capture.confidence, times))
+    lift = _reconstruct(film, stopped)
     if lift is not None:
         succeed = partial(
             attempts.succeed,
@@ -132,7 +130,7 @@ def _run(
             attempt,
             weights=prior.to_bytes(),
             reconstruction=save(lift.arrays),
-            report=advice.attempt(make_report, None, prior, lift, *shown, dataset.skeleton),
+            report=advice.attempt(make_report, None, film, lift, dataset.skeleton),
             progress=heartbeat.progress,
             describe=_describe(fit, dataset, capture, prior)
             | {"metrics": _finite(evaluate(prior, lift, capture))},
@@ -157,28 +155,13 @@ def _describe(
     }
 
 
-def _reconstruct(
-    prior: FittedPrior,
-    keypoints: Float32,
-    trust: Float32 | None,
-    times: Float64 | None,
-    stopped: Callable[[], bool],
-) -> LiftedFrames | None:
+def _reconstruct(film: Film, stopped: Callable[[], bool]) -> LiftedFrames | None:
     """Lift every frame of the fitted capture; None if the attempt has to end before."""
     lifts = []
-    for start in range(0, len(keypoints), LIFT_FRAMES):
+    for part in film.parts:
         if stopped():
             return None
-        own = slice(start, start + LIFT_FRAMES)
-        around = with_neighbours(own) if prior.smooths and times is not None else own
-        lifts.append(
-            prior.lift(
-                keypoints[around],
-                confidence=None if trust is None else trust[around],
-                times=None if times is None else times[around],
-                only=slice(own.start - around.start, own.stop - around.start),
-            )
-        )
+        lifts.append(film.lift(part))
     return join(lifts)
 
 

@@ -3,11 +3,10 @@
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, cast
+from typing import cast
 
-from models.capture.clocks import frames_apart, in_step
-from models.capture.motion import with_neighbours
 from models.findings.finding import Finding, log_findings
+from models.lifting.film import Film, Shown, read_film
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frames_json import frames_to_json
 from models.lifting.lift import LiftedFrames, join
@@ -16,7 +15,6 @@ from models.numerics.threads import use_threads
 from models.settings.config import Refine
 from models.settings.uncertainty import Uncertainty, of_uncertainty
 from store import corrections, datasets, lift_chunks, lookup, models
-from store.capture import Capture, Float64
 from store.database import Store
 from store.errors import ConflictError
 from store.lift_chunks import Helper
@@ -29,9 +27,6 @@ from worker.settings import WorkerSettings
 from worker.time_slice import TimeSlice
 
 logger = logging.getLogger(__name__)
-
-AROUND = 3  # frames beside those that late views are read from, for interpolation
-SLICE_FRAMES = 512  # lifted between two looks at what is asked of the helper
 
 
 def do_chunks(
@@ -88,57 +83,19 @@ def _find_room(store: Store, lift_id: str, prior: FittedPrior) -> Room | None:
         raise ValueError(str(error)) from error
 
 
-class _Loaded(NamedTuple):
-    """The frames of a chunk, with the views in step, and what is around them."""
-
-    capture: Capture
-    times: Float64 | None  # seconds, of each frame or of its views
-    own: slice  # the frames of the chunk among these
-
-
-def _load_in_step(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: FittedPrior) -> _Loaded:
-    """Load a chunk's frames with the views in step, if the dataset has times."""
+def _film_of(store: Store, lift: LiftRecord, chunk: LiftChunk, prior: FittedPrior) -> Film:
+    """Return a chunk's frames of a dataset."""
     dataset = lookup.get(store, DatasetRecord, lift.dataset_id)
-    own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
     with store.reading() as session:
         corrected = corrections.of(session, LiftRecord, lift.id)
-    read = partial(datasets.load_frames, store, dataset.id, corrected=corrected)
-    capture = read(own.start, own.stop)
-    times = datasets.times_of(dataset, capture, own.start)
-    if times is None:
-        return _Loaded(capture, None, slice(0, chunk.frames))
-    clocks = prior.capture.clocks_of(lift.views, dataset.views)
-    around = with_neighbours(own) if prior.smooths else own
-    apart = frames_apart(times, clocks)
-    if apart:
-        around = slice(max(around.start - apart - AROUND, 0), around.stop + apart + AROUND)
-    if around != own:
-        stop = min(around.stop, lift.frames)
-        capture = read(around.start, stop)
-        times = datasets.times_of(dataset, capture, around.start)
-    moved = in_step(capture.keypoints, capture.confidence, times, clocks)
-    return _Loaded(Capture(*moved), times, slice(own.start - around.start, own.stop - around.start))
 
+    def read(start: int, stop: int) -> Shown:
+        capture = datasets.load_frames(store, dataset.id, start, stop, corrected=corrected)
+        times = datasets.times_of(dataset, capture, start)
+        return capture.keypoints, capture.confidence, times
 
-def _lift(loaded: _Loaded, start: int, job: LiftRecord, prior: FittedPrior) -> LiftedFrames:
-    """Lift some of a chunk's frames."""
-    keypoints, trust, times = loaded.capture.keypoints, loaded.capture.confidence, loaded.times
-    first = loaded.own.start + start
-    own = slice(first, min(first + SLICE_FRAMES, loaded.own.stop))
-    around = with_neighbours(own) if prior.smooths and times is not None else own
-    return prior.lift(
-        keypoints[around],
-        confidence=None if trust is None else trust[around],
-        refine=cast(Refine | None, job.refine),
-        views=job.views,
-        times=None if times is None else times[around],
-        only=slice(own.start - around.start, own.stop - around.start),
-        uncertainty=_uncertainty_of(job),
-    )
-
-
-def _uncertainty_of(job: LiftRecord) -> Uncertainty:
-    return cast(Uncertainty, job.uncertainty or "sd")  # None: of an older version
+    own = slice(chunk.first_frame, chunk.first_frame + chunk.frames)
+    return read_film(prior, read, own, lift.frames, lift.views)
 
 
 def _do(
@@ -151,21 +108,23 @@ def _do(
 ) -> None:
     """Do one chunk, unless the process must leave: then it is given back."""
     lift = lookup.get(store, LiftRecord, helper.lift_id)
-    loaded = _load_in_step(store, lift, chunk, prior)
+    film = _film_of(store, lift, chunk, prior)
+    uncertainty = cast(Uncertainty, lift.uncertainty or "sd")  # None: of an older version
+    first = chunk.first_frame - film.own.start
     parts: list[LiftedFrames] = []
     findings: list[Finding] = []
-    for start in range(0, chunk.frames, SLICE_FRAMES):
+    for part in film.parts:
         if heartbeat.lost:
             return
         if heartbeat.leave:
             lift_chunks.release(store, helper, chunk)
             return
-        lifted = _lift(loaded, start, lift, prior)
+        lifted = film.lift(part, refine=cast(Refine | None, lift.refine), uncertainty=uncertainty)
         if room is not None:
             lifted = room.place(lifted, lift.views)
         parts.append(lifted)
-        findings += lift_findings(lifted, prior, first_frame=chunk.first_frame + start)
-    arrays = of_uncertainty(join(parts).arrays, _uncertainty_of(lift))
+        findings += lift_findings(lifted, prior, first_frame=first + part.start)
+    arrays = of_uncertainty(join(parts).arrays, uncertainty)
     lines = b"\n".join((*frames_to_json(arrays), b""))
     done = lift_chunks.finish(store, helper, chunk, arrays=arrays, lines=lines, findings=findings)
     if done.status == "succeeded":

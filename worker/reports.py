@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from models.causes.cause import Cause, unmended
 from models.labelling.filmed import reprojections
+from models.lifting.film import Film
 from models.lifting.fit_report import fit_report
-from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from store.reports import Report
 
@@ -19,24 +19,23 @@ DRAWN_KEYPOINTS = 20_000  # of all views of the worst frames that are drawn, at 
 
 
 def make_report(
-    prior: FittedPrior,
+    film: Film,
     lift: LiftedFrames,
-    keypoints: NDArray[np.float32],
-    confidence: NDArray[np.float32] | None,
     skeleton: dict[str, Any] | None,
 ) -> Report:
     """Return the report on a fit, with the keypoints of its worst frames.
 
     Parameters
     ----------
-    lift, keypoints, confidence
-        All frames of the fit, all views in step.
+    film, lift
+        All frames of the fit.
     skeleton
         Of the dataset, whose names the verdict has.
     """
     names = (skeleton or {}).get("keypoint_names")
-    found = fit_report(prior, lift, keypoints, confidence, names)
+    keypoints, confidence, prior = film.keypoints, film.confidence, film.prior
     _, views, count, _ = keypoints.shape
+    found = fit_report(prior, lift, keypoints, confidence, names)
     drawn = found.worst_frames[: max(1, DRAWN_KEYPOINTS // (views * count))]
     document = _plain(found) | {
         "drawn": _drawn(lift, keypoints, confidence, drawn, prior.capture.mends)

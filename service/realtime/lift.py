@@ -12,8 +12,8 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict
 from starlette.responses import Response, StreamingResponse
 
-from models.capture.clocks import in_step
 from models.lifting import lift as lifts
+from models.lifting.film import film_of
 from models.lifting.lift_findings import lift_findings
 from models.lifting.observing import ObservedFrames
 from models.settings.config import Index, Refine
@@ -177,10 +177,9 @@ def _understand(
 
 def _observe(asked: _Asked) -> ObservedFrames:
     """Prepare frames with times for the model: in step, and smoothed in time."""
-    prior, capture, times = asked.model.prior, asked.capture, asked.capture.times
-    clocks = prior.capture.clocks_of(asked.views, capture.keypoints.shape[1])
-    keypoints, confidence = in_step(capture.keypoints, capture.confidence, times, clocks)
-    return prior.observe(keypoints, confidence=confidence, views=asked.views, times=times)
+    capture = asked.capture
+    shown = capture.keypoints, capture.confidence, capture.times
+    return film_of(asked.model.prior, shown, asked.views).observe()
 
 
 def answer_bytes(frames: int, views: int, keypoints: int, uncertainty: Uncertainty) -> int:

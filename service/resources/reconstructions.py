@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
-from models.capture.clocks import in_step
+from models.lifting.film import film_of
 from models.settings.config import Refine
 from models.settings.uncertainty import Uncertainty, of_uncertainty
 from service.http.dependencies import SettingsDep, StoreDep
@@ -295,13 +295,9 @@ def _lift_again(
     _check_size(fit, dataset, uncertainty, settings)
     capture = fits.load_fitted(store, fit)
     prior = engine.models.get(store.project, model_id).prior
-    times = datasets.times_of(dataset, capture)
-    keypoints, confidence = in_step(
-        capture.keypoints, capture.confidence, times, prior.capture.clocks
-    )
-    lift = prior.lift(
-        keypoints, confidence=confidence, refine=refine, times=times, uncertainty=uncertainty
-    )
+    shown = capture.keypoints, capture.confidence, datasets.times_of(dataset, capture)
+    film = film_of(prior, shown)
+    lift = film.lift(film.own, refine=refine, uncertainty=uncertainty)
     return of_uncertainty(lift.arrays, uncertainty)
 
 

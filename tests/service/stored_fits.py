@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 
 from models.findings.finding import dumped
+from models.lifting.film import film_of
 from models.lifting.fitted_prior import FittedPrior
 from store import attempts, fits
 from store.database import Store
@@ -24,7 +25,8 @@ def put_fit(
     times: int = 1,
 ) -> str:
     """Store a fit to keypoints (N, K, P, 2), its frames so many times; return its identifier."""
-    lift = prior.lift(keypoints)
+    film = film_of(prior, (keypoints.astype(np.float32), None, None))
+    lift = film.lift(film.own)
     frames, views, count = keypoints.shape[:3]
     config = prior.config.model_dump(mode="json")
     made = fits.create(records, dataset_id=dataset, name=name, config=config)
@@ -38,7 +40,7 @@ def put_fit(
         reconstruction=save(
             {key: np.concatenate([array] * times) for key, array in lift.arrays.items()}
         ),
-        report=None if times > 1 else make_report(prior, lift, keypoints, None, skeleton),
+        report=None if times > 1 else make_report(film, lift, skeleton),
         progress=None,
         describe={
             "dataset_id": dataset,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
+from models.lifting import film
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from models.training.trainer import Trainer
@@ -55,7 +56,7 @@ def run(store: Store, capture: Capture, monkeypatch: pytest.MonkeyPatch, **asked
         monkeypatch.setattr(FittedPrior, "lift", lift)  # trainers lift, too: that does not count
         return prior
 
-    monkeypatch.setattr(fitting, "LIFT_FRAMES", 5)
+    monkeypatch.setattr(film, "PART_FRAMES", 5)
     monkeypatch.setattr(Trainer, "result", result)
     # Checkpoints by the clock would depend on how busy the machine is.
     settings = WorkerSettings(data_dir=Path("unused"), checkpoint_seconds=3600)

@@ -1,5 +1,6 @@
 """Datasets with times: their fits and lifts are smoothed, whatever parts they are done in."""
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from redis import Redis
 from safetensors.numpy import load
 
+from models.capture.clocks import Clocks
+from models.lifting.film import film_of, read_film
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.config import FitConfig
 from models.training.trainer import fit
@@ -69,6 +72,19 @@ def test_times_smooth_a_lift_and_its_order_matters_only_then(
     np.testing.assert_array_equal(again.points3d, together.points3d)
     some = prior.lift(keypoints, times=TIMES, only=slice(100, 110))
     np.testing.assert_allclose(some.points3d, together.points3d[100:110], atol=1e-5)
+
+
+def test_a_part_of_a_film_with_late_views_is_that_of_the_whole(
+    prior: FittedPrior, keypoints: NDArray[np.float64]
+) -> None:
+    late, shown, own = copy(prior), keypoints.astype(np.float32), slice(100, 110)
+    late.capture = prior.capture._replace(clocks=Clocks(TIMES[:1], np.array([[0, 0.05, -0.09]])))
+    whole = film_of(late, (shown, None, TIMES))
+    part = read_film(late, lambda a, b: (shown[a:b], None, TIMES[a:b]), own, FRAMES)
+    np.testing.assert_array_equal(part.keypoints[part.own], whole.keypoints[own])
+    assert (np.abs(part.keypoints[part.own] - shown[own]).max((0, 2, 3)) > [-1, 1, 1]).all()
+    found = part.lift(part.own).points3d
+    np.testing.assert_allclose(found, whole.lift(own).points3d, atol=1e-5)
 
 
 def test_a_lift_job_in_chunks_is_the_whole(
