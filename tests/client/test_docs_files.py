@@ -1,4 +1,4 @@
-"""What docs/files.md shows does run, and its projections are those of lifts."""
+"""What docs/results.md shows does run, and its projections are those of lifts."""
 
 import re
 import warnings
@@ -13,12 +13,12 @@ from fewview.readers.registry import NAMES
 from safetensors.numpy import load_file
 
 ROOT = Path(__file__).parents[2]
-HEADINGS = ("Files out", "Calibration files", "How answers project back into the image")
+HEADINGS = ("Files out", "How answers project back into the image")
 
 
 def blocks(heading: str) -> list[str]:
     """Return the Python of a section."""
-    text = (ROOT / "docs/files.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/results.md").read_text(encoding="utf-8")
     (section,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
     return re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
 

@@ -18,10 +18,11 @@ def catalogue() -> str:
     """Return the tables of all codes."""
     lines = []
     for title, group in GROUPS.items():
-        lines += [title, "", "| code | | effect | remedy |", "|---|---|---|---|"]
+        lines += [title, "", "| code | effect | remedy |", "|---|---|---|"]
         for code in get_args(group.__value__):
             severity, effect, remedy = CATALOGUE[code]
-            lines.append(f"| `{code}` | {severity} | {effect} | {remedy} |")
+            mark = " *info*" if severity == "info" else ""
+            lines.append(f"| `{code}`{mark} | {effect} | {remedy} |")
         lines.append("")
     return "\n".join(lines)
 

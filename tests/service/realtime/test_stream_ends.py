@@ -208,16 +208,14 @@ def test_the_service_closes_its_streams_as_it_stops(settings: Settings, model: s
     assert closed.value.rcvd.code == 1012
 
 
-def test_the_client_in_the_documentation_works(
+def test_the_example_in_bytes_works(
     http: httpx2.Client, model: str, capture: SyntheticCapture, tmp_path: Path
 ) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "streaming.md").read_text()
-    (code,) = re.findall(r'```python\n("""python stream.py .*?)```', text, re.DOTALL)
-    (tmp_path / "stream.py").write_text(code)
+    script = Path(__file__).parents[3] / "examples" / "stream_bytes.py"
     np.save(tmp_path / "keypoints.npy", capture.keypoints)
     url = f"ws://{http.base_url.host}:{http.base_url.port}/lift/stream"
     done = subprocess.run(
-        [sys.executable, "stream.py", url, model, "keypoints.npy", "50"],
+        [sys.executable, str(script), url, model, "keypoints.npy", "50"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
