@@ -36,6 +36,7 @@ from worker.needs import gpu_pays
 from worker.outcomes import Outcomes, recorded
 from worker.patience import OUTAGES, is_outage, patiently
 from worker.reports import make_report
+from worker.rooms import best_frame
 from worker.settings import WorkerSettings
 from worker.time_slice import FitTurn
 
@@ -132,17 +133,21 @@ def _run(
             reconstruction=save(lift.arrays),
             report=advice.attempt(make_report, None, film, lift, dataset.skeleton),
             progress=heartbeat.progress,
-            describe=_describe(fit, dataset, capture, prior)
-            | {"metrics": _finite(evaluate(prior, lift, capture))},
+            describe=_describe(fit, dataset, capture, prior, lift),
         )
         waiting(succeed)
         log_findings(logger, f"Fit {fit.id}", prior.findings)
 
 
 def _describe(
-    fit: FitRecord, dataset: DatasetRecord, capture: Capture, prior: FittedPrior
+    fit: FitRecord,
+    dataset: DatasetRecord,
+    capture: Capture,
+    prior: FittedPrior,
+    lift: LiftedFrames,
 ) -> dict[str, Any]:
     """Return columns of the record of a fit's model."""
+    frame = advice.attempt(best_frame, None, prior.cameras, lift.arrays, dataset.skeleton)
     return {
         "dataset_id": fit.dataset_id,
         "views": capture.keypoints.shape[1],
@@ -152,6 +157,7 @@ def _describe(
         "skeleton": dataset.skeleton,
         "training_curve": [_finite(point._asdict()) for point in prior.curve],
         "findings": dumped(prior.findings),
+        "metrics": _finite(evaluate(prior, lift, capture)) | {"frame_of_reference": frame},
     }
 
 

@@ -13,7 +13,7 @@ from safetensors.numpy import load
 from models.calibrating.result import CameraReport
 from models.lifting.lift import LiftedFrames
 from models.network.answers import NOT_IN_ROOM
-from models.settings.rooms import Up
+from models.settings.rooms import BestFrame, Up
 from store import fits, lookup
 from store.database import Store
 from store.errors import ConflictError
@@ -80,7 +80,7 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     ConflictError
         If it has no static cameras, or `up` is to be estimated and cannot be.
     """
-    if cameras is None or not cameras.static.any():
+    if cameras is None or not has_room(cameras):
         arrangement = "unknown" if cameras is None else cameras.arrangement
         raise ConflictError(
             f"Model {model_id!r} has no room: none of its cameras is static (arrangement: "
@@ -96,18 +96,42 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
             "was imported, or the fit was deleted. Give up as a vector (x, y, z)."
         )
     try:
-        room = in_rig(
-            frames["points3d"],
-            frames["rotations"],
-            frames["translations"],
-            frames["camera_models"],
-            cameras.rotations,
-            cameras.translations,
-            up=up,
-            keypoint_names=(model.skeleton or {}).get("keypoint_names"),
-        )
+        return _upright(cameras, frames, up, model.skeleton)
     except ValueError as error:
         raise ConflictError(f"up: {error}. Give it as a vector (x, y, z).") from error
+
+
+def has_room(cameras: CameraReport | None) -> bool:
+    """Return whether any camera of a model is static, so that it has a room."""
+    return cameras is not None and bool(cameras.static.any())
+
+
+def best_frame(
+    cameras: CameraReport | None, frames: Arrays, skeleton: dict[str, Any] | None
+) -> BestFrame:
+    """Return the best frame of reference that the lifted frames of a fit can be shown in."""
+    if cameras is None or not has_room(cameras):
+        return "canonical"
+    try:
+        _upright(cameras, frames, "auto", skeleton)
+    except ValueError:
+        return "room"
+    return "upright"
+
+
+def _upright(
+    cameras: CameraReport, frames: Arrays, up: Up, skeleton: dict[str, Any] | None
+) -> Room:
+    room = in_rig(
+        frames["points3d"],
+        frames["rotations"],
+        frames["translations"],
+        frames["camera_models"],
+        cameras.rotations,
+        cameras.translations,
+        up=up,
+        keypoint_names=(skeleton or {}).get("keypoint_names"),
+    )
     return Room(room.rotations, room.translations)
 
 

@@ -6,6 +6,8 @@ from pydantic import AfterValidator, Field
 from typing_extensions import TypeAliasType
 
 FrameOfReference = TypeAliasType("FrameOfReference", Literal["canonical", "room"])
+# `upright`: the room with y up, estimated from the frames of the fit.
+BestFrame = TypeAliasType("BestFrame", Literal["canonical", "room", "upright"])
 _Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 _Vector = tuple[_Number, _Number, _Number]
 

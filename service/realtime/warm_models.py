@@ -12,12 +12,12 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
-from models.settings.rooms import Up
+from models.settings.rooms import BestFrame, Up
 from store import aliases, lookup, models
 from store.database import Store
 from store.errors import NotFoundError
 from store.records import ModelRecord
-from worker.rooms import Room
+from worker.rooms import Room, has_room
 
 logger = logging.getLogger(__name__)
 
@@ -32,6 +32,8 @@ class WarmModel:
     ----------
     fit_id
         The fit that made it, if that is still there.
+    measured_frame
+        The best frame of reference of the fit's frames; None for an older or an imported model.
     ready
         The compiled code that it needs to lift is loaded.
     gone
@@ -46,9 +48,17 @@ class WarmModel:
     weights_key: str
     weights_bytes: int
     fit_id: str | None
+    measured_frame: BestFrame | None = None
     ready: bool = False
     gone: bool = False
     rooms: dict[tuple[str | None, Up | None], Room] = field(default_factory=dict)
+
+    @property
+    def best_frame(self) -> BestFrame:
+        """The best frame of reference that can be asked for."""
+        if self.fit_id is not None and self.measured_frame is not None:
+            return self.measured_frame
+        return "room" if has_room(self.prior.cameras) else "canonical"
 
 
 class WarmModels:
@@ -187,7 +197,13 @@ class WarmModels:
             with self._lock:
                 self._loading.pop(model_id, None)
         loaded = WarmModel(
-            model_id, project, prior, record.weights_key, record.weights_bytes, record.fit_id
+            model_id,
+            project,
+            prior,
+            record.weights_key,
+            record.weights_bytes,
+            record.fit_id,
+            record.metrics.get("frame_of_reference"),
         )
         with self._lock:
             model = self._used.setdefault(model_id, loaded)  # or another's: only one is watched

@@ -151,9 +151,8 @@ def _measure(asked: EvaluationCreate, points: Float32 | Float64, truth: Float32)
 
 def _found(model_id: str, engine: Engine, store: Store) -> Cameras:
     with _refused_as("/fit_id"):
-        return found_cameras(
-            ModelCameras.of(model_id, engine.models.read(store.project, model_id).prior.cameras)
-        )
+        model = engine.models.read(store.project, model_id)
+        return found_cameras(ModelCameras.of(model_id, model.prior.cameras, model.best_frame))
 
 
 def _triangulated(

@@ -215,7 +215,7 @@ def get_model_cameras(
     A model that was fitted without refinement has the arrangement `unknown`.
     """
     model = engine.models.read(store.project, model_id)
-    cameras = ModelCameras.of(model.id, model.prior.cameras)
+    cameras = ModelCameras.of(model.id, model.prior.cameras, model.best_frame)
     if format == "json":
         return cameras
     try:

@@ -80,8 +80,9 @@ def read_report(fit: records.FitRecord, store: Store, engine: Engine) -> FitRepo
     skeleton = next((each.skeleton for each in (dataset, model) if each and each.skeleton), {})
     cameras, late = None, None
     if model is not None:
-        prior = engine.models.read(store.project, model.id).prior
-        cameras, late = ModelCameras.of(model.id, prior.cameras), _late(prior)
+        warm = engine.models.read(store.project, model.id)
+        cameras = ModelCameras.of(model.id, warm.prior.cameras, warm.best_frame)
+        late = _late(warm.prior)
     return report_on(
         fit,
         stored,

@@ -9,6 +9,7 @@ from typing_extensions import TypeAliasType
 from models.calibrating.result import CameraReport
 from models.findings.finding import Finding
 from models.settings.calibration import LiftedLensName
+from models.settings.rooms import BestFrame
 from service.wire.findings import Findings
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
 
@@ -71,6 +72,7 @@ class ModelCameras(BaseModel):
                 "reason": "View 0 keeps its place to 0.02 units over 400 frames; view 1 moves.",
                 "findings": [EXAMPLE_FINDING],
                 "noise": 1.9,
+                "frame_of_reference": "upright",
                 "views": [
                     {
                         "index": 0,
@@ -121,6 +123,10 @@ class ModelCameras(BaseModel):
     noise: float | None = Field(
         description="Pixels, the standard deviation of a keypoint's coordinate about the model."
     )
+    frame_of_reference: BestFrame = Field(
+        description="The best one that frames of the model's fit can be asked for: `upright` "
+        "(`frame=room&up=auto`), `room` (`frame=room`) or `canonical`."
+    )
     handedness_certainty: float | None = Field(
         default=None,
         ge=0,
@@ -131,7 +137,7 @@ class ModelCameras(BaseModel):
     views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
 
     @classmethod
-    def of(cls, model_id: str, found: CameraReport | None) -> Self:
+    def of(cls, model_id: str, found: CameraReport | None, frame: BestFrame) -> Self:
         """Return the wire form of what a model's fit found."""
         if found is None:
             return cls(
@@ -140,6 +146,7 @@ class ModelCameras(BaseModel):
                 reason=UNKNOWN,
                 findings=[],
                 noise=None,
+                frame_of_reference=frame,
                 views=[],
             )
         views = [
@@ -168,6 +175,7 @@ class ModelCameras(BaseModel):
                 "reason": found.reason,
                 "findings": list(found.findings),
                 "noise": _known(found.noise),
+                "frame_of_reference": frame,
                 "handedness_certainty": _known(found.handedness_certainty),
                 "views": views,
             }

@@ -12,6 +12,7 @@ from models.lifting.fitted_prior import FittedPrior
 from store import attempts, fits
 from store.database import Store
 from worker.reports import make_report
+from worker.rooms import best_frame
 
 
 def put_fit(
@@ -51,7 +52,11 @@ def put_fit(
             "config": config,
             "skeleton": skeleton,
             "training_curve": [point._asdict() for point in prior.curve],
-            "metrics": {"reprojection_error": error, "frames_lifted": times * frames},
+            "metrics": {
+                "reprojection_error": error,
+                "frames_lifted": times * frames,
+                "frame_of_reference": best_frame(prior.cameras, lift.arrays, skeleton),
+            },
         },
     )
     return made.id

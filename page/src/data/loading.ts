@@ -55,7 +55,7 @@ async function unlessGone<T>(asked: Promise<T>, why: string): Promise<T> {
 }
 
 /** Returns how a frame of reference is asked for. */
-function queryFor(frame: Frame, { up }: Axes = {}): string {
+export function queryFor(frame: Frame, { up }: Axes = {}): string {
   if (frame === "view") return "";
   return frame === "camera" ? "&frame=room" : `&frame=room&up=${up?.map((value) => value.toFixed(6)).join() ?? "auto"}`;
 }
@@ -81,21 +81,19 @@ export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsk
   const first = Math.floor(Math.min(Math.max(0, firstFrame), fit.frames - 1) / size) * size;
   const end = Math.min(fit.frames, first + size);
   const detected = file.detected(first, end);
-  const best = axes.frame === "canonical" ? "view" : bestFrame(cameras);
-  const load = inFrame(best, axes, (query) => {
-    const part = structures(fit.id, query, `${first}:${end}`);
-    const overview = step > 0 ? structures(fit.id, query, `::${step}`) : null;
-    return Promise.all([part, overview]);
-  });
+  const frame = axes.frame === "canonical" ? "view" : frameOf(cameras, axes);
+  const query = queryFor(frame, axes);
+  const load = Promise.all([
+    structures(fit.id, query, `${first}:${end}`),
+    step > 0 ? structures(fit.id, query, `::${step}`) : null,
+  ]);
   onAsked();
-  const [{ frame, found }, seen] = await Promise.all([load, detected]);
+  const [[part, overview], seen] = await Promise.all([load, detected]);
   const take = emptyTake(file.capture, fit.frames, frame);
-  const [part, overview] = found;
   if (overview !== null) putStructures(take, overview, 0, step);
   putStructures(take, part, first, 1);
   putDetected(take, seen, first);
   corrected.show(take);
-  const query = queryFor(frame, axes);
   const loader = createLoader(take, file, fit.id, query, first);
   return { take, model: await model, cameras, file, loader, query, corrected, corrections, correctionsTag };
 }
@@ -115,29 +113,18 @@ function correctedFile(file: CaptureFile, corrected: Corrected): CaptureFile {
 /** Returns the structures (N, P, 3) of another fit, and whether all are in one frame of reference. */
 export async function loadPoints(fit: Fit): Promise<{ points: Float32Array; inOneFrame: boolean }> {
   const cameras = await getCameras(fit.model_id ?? "");
-  const { frame, found } = await inFrame(bestFrame(cameras), {}, (query) => getReconstruction(fit.id, query));
+  const frame = frameOf(cameras);
+  const found = await getReconstruction(fit.id, queryFor(frame));
   return { points: needed(readSafetensors(found), "points3d"), inOneFrame: frame !== "view" };
 }
 
-/** Returns the best frame of reference that there may be. */
-function bestFrame(cameras: ModelCameras): Frame {
-  return cameras.views.some((view) => view.static && view.rotation) ? "level" : "view";
-}
+const FRAMES: Record<ModelCameras["frame_of_reference"], Frame> = {
+  upright: "level",
+  room: "camera",
+  canonical: "view",
+};
 
-interface Placed<T> {
-  frame: Frame;
-  found: T;
-}
-
-const WORSE: Partial<Record<Frame, Frame>> = { level: "camera", camera: "view" };
-
-/** Returns what is loaded in a frame of reference or, where there is none such, in the next best. */
-export async function inFrame<T>(frame: Frame, axes: Axes, load: (query: string) => Promise<T>): Promise<Placed<T>> {
-  try {
-    return { frame, found: await load(queryFor(frame, axes)) };
-  } catch (error) {
-    const next = WORSE[frame];
-    if (next === undefined || !(error instanceof Refusal) || error.status !== 409) throw error;
-    return inFrame(next, axes, load);
-  }
+/** Returns the best frame of reference of a model; it is level, too, where it is given what is up in a room. */
+export function frameOf({ frame_of_reference: best }: ModelCameras, { up }: Axes = {}): Frame {
+  return best === "room" && up !== undefined ? "level" : FRAMES[best];
 }

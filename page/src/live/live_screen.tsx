@@ -6,7 +6,7 @@ import { listAll, listDatasets, listModels } from "../api/lists.ts";
 import { getCameras, type Dataset, type ModelSummary } from "../api/resources.ts";
 import { rateOf } from "../data/capture.ts";
 import { structures } from "../data/loader.ts";
-import { inFrame } from "../data/loading.ts";
+import { frameOf, queryFor } from "../data/loading.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { emptyTake, putStructures } from "../data/take.ts";
 import type { Frame } from "../data/placing.ts";
@@ -153,15 +153,13 @@ async function prepared(
   lifting: Lifting,
 ): Promise<Running> {
   const [file, cameras] = await Promise.all([remoteCapture(dataset), getCameras(model.id)]);
-  const anyStatic = cameras.views.some((view) => view.static && view.rotation);
-  const inRoom = anyStatic && lifting.frame !== "canonical";
-  const frame: Frame = !inRoom ? "view" : model.fit_id ? "level" : "camera";
+  const frame = lifting.frame === "canonical" ? "view" : frameOf(cameras);
   const posed = file.capture.viewNames.map((_, view) =>
     cameras.views.some(({ index }) => index === (lifting.views?.[view] ?? view)),
   );
-  const { frame: shown, extent } = await extentOfFit(model, frame, file.capture);
+  const extent = await extentOfFit(model, frame, file.capture);
   const { refine, views } = lifting;
-  const start = { model: model.id, ...START[shown], ...(refine && { refine }), ...(views && { views }) };
+  const start = { model: model.id, ...START[frame], ...(refine && { refine }), ...(views && { views }) };
   const perSecond = rate ?? rateOf(file.capture).rate;
   return {
     ...{
@@ -172,22 +170,22 @@ async function prepared(
       rate: perSecond,
       ...(extent ? { extent } : {}),
     },
-    start: (listener) => startReplay(file, start, shown, perSecond, listener),
+    start: (listener) => startReplay(file, start, frame, perSecond, listener),
   };
 }
 
-/** Returns where the subject of a model's fit went, and the frame of reference that it is known in. */
+/** Returns where the subject of a model's fit went in a frame of reference. */
 async function extentOfFit(
   { fit_id: fit, frames }: ModelSummary,
-  wanted: Frame,
+  frame: Frame,
   capture: Parameters<typeof emptyTake>[0],
-): Promise<{ frame: Frame; extent?: Extent }> {
-  if (!fit || !frames) return { frame: wanted };
+): Promise<Extent | undefined> {
+  if (!fit || !frames) return undefined;
   const slice = `::${Math.ceil(frames / OVERVIEW)}`;
-  const { frame, found } = await inFrame(wanted, {}, (query) => structures(fit, query, slice));
+  const found = await structures(fit, queryFor(frame), slice);
   const take = emptyTake(capture, found.get("points3d")?.shape[0] ?? 0, frame);
   putStructures(take, found, 0, 1);
-  return { frame, extent: extentOf(take) };
+  return extentOf(take);
 }
 
 function How() {

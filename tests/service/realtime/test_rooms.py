@@ -204,7 +204,8 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
     fit = fits.create(store, dataset_id=make_dataset(http)["id"], name="f", config={})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
     assert attempt is not None
-    described = {"keypoints": 16, "config": {}, "training_curve": [], "metrics": {}}
+    figures = {"frame_of_reference": "upright"}
+    described = {"keypoints": 16, "config": {}, "training_curve": [], "metrics": figures}
     attempts.succeed(
         store,
         attempt,
@@ -230,6 +231,7 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         body = http.get(f"/fits/{fit.id}/reconstruction?{query}").content  # placed part by part
         assert b'"frames":[' + b",".join(frames_to_json(found)) + b'],"findings":' in body
     problem(http.get(f"{url}&up=auto"), 422, "invalid_input", "/up")
+    assert http.get(f"/models/{model}/cameras").json()["frame_of_reference"] == "upright"
 
     fits.delete(store, fit.id)  # by another process: its frames gave up and the floor
     store.close()
@@ -239,6 +241,7 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         return asked.status_code == 409
 
     wait_for(forgotten, "the room of a fit that was deleted", 3)
+    assert http.get(f"/models/{model}/cameras").json()["frame_of_reference"] == "room"
     raised = lifted(http, model, "frame=room&up=0,-1,0.2")["points3d"]
     assert abs(np.quantile(raised[:, :2, 1].min(1), 0.1)) > 0.1  # it has no floor
 

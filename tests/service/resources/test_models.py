@@ -156,9 +156,17 @@ def test_the_cameras_of_a_capture_are_found(live: Live, capture: SyntheticCaptur
         assert view["focal"][0] > 0
         assert view["focal_sd"] >= 0
         assert (view["rotation"] is None) is not view["static"]
+    best = ("canonical", "room", "upright").index(found["frame_of_reference"])
+    for frame, query in enumerate(("frame=canonical", "frame=room", "frame=room&up=auto")):
+        asked = live.http.get(f"/fits/{fit['id']}/reconstruction?frames=:1&{query}")
+        assert (asked.status_code == 200) is (frame <= best), asked.text
     weights = live.http.get(f"/models/{fit['model_id']}/weights").content
     copy = live.http.post("/models", content=weights, headers=BYTES).json()["id"]
-    assert live.get(f"/models/{copy}/cameras") == found | {"model": copy}
+    bare = "room" if best else "canonical"  # there are no frames to estimate up from
+    assert live.get(f"/models/{copy}/cameras") == found | {
+        "model": copy,
+        "frame_of_reference": bare,
+    }
 
 
 def test_without_truth_there_is_no_error(live: Live) -> None:
