@@ -13,11 +13,19 @@ import numpy as np
 from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.readers.headers import axis_of
+from fewview.readers.named_points import Point
 from fewview.readers.names import frame_number
 
 FRAMES = ("instance_info", "frames", "results", "predictions", "pose_results", "data", "keypoints")
-PEOPLE = ("instances", "predictions", "people", "annots", "bodies", "persons", "pose_results")
-POINTS = ("keypoints", "pose_keypoints_2d", "joints", "pose", "keypoint", "kpts")
+PEOPLE = (
+    *("instances", "predictions", "people", "annots", "bodies", "persons", "pose_results"),
+    *("observations", "poses"),
+)
+POINTS = (
+    *("keypoints", "pose_keypoints_2d", "joints", "pose", "keypoint", "kpts"),
+    *("recognizedPoints", "recognized_points", "points"),
+)
+CALLED = ("name", "part", "joint", "jointName", "joint_name")  # a point, in its own fields
 SCORES = ("keypoint_scores", "keypoints_scores", "kp_score", "scores", "keypoint_confidences")
 NUMBERS = (
     *("frame_id", "frame", "frame_index", "frame_idx", "frame_number", "frame_num"),
@@ -32,7 +40,9 @@ Frame = tuple[int | None, list[Any]]  # its number, if it has one, and its peopl
 def frames_of(content: Any) -> list[Frame]:
     """Return the frames of a file; none if it holds no people frame by frame."""
     if isinstance(content, dict):
-        content = next((content[key] for key in FRAMES if _holds_frames(content.get(key))), content)
+        content = next(
+            (content[key] for key in FRAMES if _holds_frames(content.get(key), key)), content
+        )
     if isinstance(content, dict):
         people = None if _are_numbered(content) else people_of(content)
         listed = [(_number(content), people)] if people is not None else _by_names(content)
@@ -61,6 +71,8 @@ def people_of(frame: Any) -> list[Any] | None:
             found = [frame]
         elif _are_numbered(frame):  # by their tracks
             found = list(frame.values())
+        elif len(bare := {name: each for name, each in frame.items() if _is_point(each)}) > 2:
+            found = [{POINTS[0]: bare}]
     right = found is not None and all(isinstance(one, dict) or _is_points(one) for one in found)
     return found if right else None
 
@@ -114,6 +126,46 @@ def has_points(people: Sequence[Any] | None) -> bool:
     )
 
 
+def named_points(people: Sequence[Any]) -> list[dict[str, Point]] | None:
+    """Return the points of each person by their names; None if somebody's have none."""
+    found = []
+    for person in people:
+        named = _by_name(person)
+        if named is None:
+            return None
+        found.append({name: _coordinates(each) for name, each in named.items() if each})
+    return found
+
+
+def _by_name(person: Any) -> dict[str, Any] | None:
+    """Return what a person has under the names of points; None if these have no names."""
+    if not isinstance(person, dict) or any(isinstance(person.get(key), list) for key in SCORES):
+        return None
+    points = next((person[key] for key in POINTS if person.get(key)), None)
+    if isinstance(points, dict) and "keypoints" in points:  # of PoseNet
+        points = points["keypoints"]
+    if not points:
+        return {} if any(key in person for key in POINTS) else None
+    if isinstance(points, dict):
+        return None if _by_axis(points) else {str(name): each for name, each in points.items()}
+    if not isinstance(points, list) or not all(isinstance(each, dict) for each in points):
+        return None
+    names = [next((each[key] for key in CALLED if key in each), None) for each in points]
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        return None
+    return {str(name): each for name, each in zip(names, points, strict=True)}
+
+
+def _coordinates(point: Any) -> Point:
+    if isinstance(point, dict):
+        x, y, sure = _point(point)
+    elif len(point) in (2, 3):
+        x, y, sure = (*point, np.nan)[:3]
+    else:
+        raise ValueError(f"{len(point)} numbers are no x, y, confidence")
+    return float(x), float(y), np.nan if sure is None else float(sure)
+
+
 def points_of(person: Any, what: str, *, y_first: bool = False) -> Float32 | None:
     """Return (P, 3) of x, y, confidence (NaN where there is none); None if no person is there.
 
@@ -153,16 +205,7 @@ def names_of(content: Any, people: Sequence[Any], count: int) -> tuple[str, ...]
     if isinstance(by_number, dict) and set(by_number) == {str(index) for index in range(count)}:
         return tuple(str(by_number[str(index)]) for index in range(count))
     one = next((p for p in people if isinstance(p, dict)), {})
-    points = next((one[key] for key in POINTS if one.get(key)), None)
-    if isinstance(points, dict) and "keypoints" in points:
-        points = points["keypoints"]
-    if isinstance(points, dict) and not _by_axis(points):
-        return tuple(map(str, points))
-    if isinstance(points, list) and all(isinstance(each, dict) for each in points):
-        names = [each.get("name", each.get("part")) for each in points]
-        if all(isinstance(name, str) for name in names) and len(set(names)) == len(names):
-            return tuple(map(str, names))
-    return None
+    return tuple(_by_name(one) or ()) or None
 
 
 def size_of(frame: Any) -> tuple[int, int] | None:
@@ -178,15 +221,15 @@ def size_of(frame: Any) -> tuple[int, int] | None:
     return (int(width), int(height)) if known and width > 0 and height > 0 else None
 
 
-def _holds_frames(value: Any) -> bool:
-    """Whether these are several frames, and not the people or the points of one."""
+def _holds_frames(value: Any, key: str = "") -> bool:
+    """Whether these, under a key, are several frames, and not the people or points of one."""
     if isinstance(value, dict):
         return bool(value) and all(people_of(one) is not None for one in value.values())
     if not isinstance(value, list) or not value or _is_points(value):
         return False
-    if all(isinstance(one, dict) for one in value):  # not the people of one frame
-        return any(one.keys() & {*NUMBERS, *PEOPLE} or _are_numbered(one) for one in value)
-    return all(people_of(one) is not None for one in value)
+    if key == "frames" or not all(isinstance(one, dict) for one in value):
+        return all(people_of(one) is not None for one in value)
+    return any(one.keys() & {*NUMBERS, *PEOPLE} or _are_numbered(one) for one in value)
 
 
 def _is_points(value: Any) -> bool:
@@ -230,8 +273,13 @@ def _are_pairs(values: np.ndarray[Any, np.dtype[np.float64]], scores: Any) -> bo
     return len(values) % 2 == 0 and bool(np.nanmax(values[2::3]) > MOST_SURE)
 
 
+def _is_point(value: Any) -> bool:
+    at = value.get("location", value) if isinstance(value, dict) else None
+    return isinstance(at, dict) and {"x", "y"} <= at.keys()
+
+
 def _point(point: dict[str, Any]) -> list[float]:
-    at = point.get("position", point)
+    at = point.get("position", point.get("location", point))
     sure = next((v for k, v in point.items() if axis_of(k) in ("confidence", "visibility")), np.nan)
     return [at["x"], at["y"], sure]
 

@@ -13,6 +13,8 @@ from fewview.readers.formats import (
     coco,
     deeplabcut,
     frames_json,
+    label_studio,
+    labelme,
     lightning_pose,
     mediapipe,
     mvnrsfm,
@@ -79,6 +81,20 @@ FORMATS = (
         mediapipe.fits,
         mediapipe.read,
         words="landmarks poselandmarks poselandmark visibility worldlandmarks",
+    ),
+    Format(
+        "label-studio",
+        "Label Studio JSON",
+        label_studio.fits,
+        label_studio.read,
+        words="annotations completions result keypointlabels originalwidth value fileupload",
+    ),
+    Format(
+        "labelme",
+        "labelme JSON",
+        labelme.fits,
+        labelme.read,
+        words="shapes shapetype imagepath imagedata imageheight imagewidth flags groupid",
     ),
     *(
         Format(

@@ -25,6 +25,7 @@ LOOKED_INTO = 1000  # files of a folder, of which the first may show no person
 # Of a project's videos SLEAP calls them `labels.v001.000_cam1.analysis.h5`.
 OF_SLEAP = re.compile(r"\.\d{3}_(.+)\.analysis\.(?:h5|csv)$", re.IGNORECASE)
 _HEADING = re.compile(r"\[[A-Za-z_][\w.]*\]")
+SHAPES = "shapes"  # of an image, in the files of labelme
 HDF5, NUMPY, ZIP = b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04"
 
 
@@ -215,11 +216,12 @@ def _is_json_frame(files: Sequence[Path]) -> bool:
     contents = (load_json(path, MAX_FRAME) for path in files)
     parsed = (content for content in contents if content and not _shows_nobody(content))
     content = next(parsed, None)
-    return (isinstance(content, dict) and "landmarks" in content) or is_one_frame(content)
+    of_image = isinstance(content, dict) and bool(content.keys() & {"landmarks", SHAPES})
+    return of_image or is_one_frame(content)
 
 
 def _shows_nobody(content: Any) -> bool:
-    return isinstance(content, dict) and people_of(content) == []
+    return isinstance(content, dict) and (people_of(content) == [] or content.get(SHAPES) == [])
 
 
 def _is_yolo_frame(files: Sequence[Path]) -> bool:

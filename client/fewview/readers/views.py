@@ -1,7 +1,8 @@
 """What a reader hands on: one camera's detections, of all people, as the file has them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from fewview.readers.large_arrays import taken
 Edges = tuple[tuple[int, int], ...]
 Int64 = NDArray[np.int64]
 MAX_NUMBERS = 2**29  # in one view's keypoints: 2 GiB
+SEVERAL_SIZES = "images have several sizes, as of several cameras"
+WIDEST = 2**20  # pixels of an image
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,13 @@ def bounded(shape: Sequence[int], what: str) -> None:
         raise FormatError(
             f"{size:,} numbers {tuple(shape)} are too many; cut it in parts", place=what
         )
+
+
+def size_in(record: Mapping[str, Any], width: str, height: str) -> tuple[int, int] | None:
+    """Return the (width, height) that a record has under these names; None if it has none."""
+    found = [record.get(width), record.get(height)]
+    known = [int(each) for each in found if isinstance(each, int | float) and 0 < each < WIDEST]
+    return (known[0], known[1]) if len(known) == 2 and min(known) > 0 else None
 
 
 def with_keypoints(view: View, index: Sequence[int] | NDArray[np.intp]) -> View:

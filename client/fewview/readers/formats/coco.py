@@ -12,7 +12,7 @@ from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.readers.names import split_frames
 from fewview.readers.sources import Source
-from fewview.readers.views import Edges, View, packed
+from fewview.readers.views import SEVERAL_SIZES, Edges, View, packed
 
 BODY = "keypoints"
 WHOLE_BODY = (BODY, "foot_kpts", "face_kpts", "lefthand_kpts", "righthand_kpts")
@@ -112,7 +112,7 @@ def _view(
     sizes = {(images[i].get("width"), images[i].get("height")) for _, i in frames}
     width, height = sizes.pop() if len(sizes) == 1 else (None, None)
     fitting = names is not None and len(names) == keypoints.shape[2]
-    notes = ("images have several sizes, as of several cameras",) if sizes else ()
+    notes = (SEVERAL_SIZES,) if sizes else ()
     return View(
         camera or source.name,
         keypoints,

@@ -4,7 +4,7 @@ One file for a video, or a folder with a file for each image. One table has the 
 layouts; all are read by `json_frames.py`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -14,18 +14,22 @@ import numpy as np
 from fewview.errors import FormatError
 from fewview.readers.json_frames import (
     BARE,
+    LOOKED_INTO,
     SCORES,
     Frame,
     cameras_of,
     frames_of,
+    named_points,
     names_of,
     people_of,
     points_of,
     size_of,
 )
+from fewview.readers.named_points import side_by_side
 from fewview.readers.names import frame_number
 from fewview.readers.sources import Source
 from fewview.readers.views import Edges, View, packed
+from fewview.readers.vision import is_vision, turned_down
 
 SKELETONS = ("coco-17", "coco-133", "halpe-26", "hands-21")
 
@@ -36,12 +40,20 @@ class Layout:
 
     name: str
     title: str
-    matches: Callable[[Any, Any], bool]  # the content, and somebody in it
+    matches: Callable[[Any, Sequence[Any]], bool]  # the content, and people in it
     words: str = ""
     y_first: bool = False
+    y_up: bool = False
 
 
 LAYOUTS = (
+    Layout(
+        "apple-vision",
+        "Apple Vision JSON",
+        lambda _, people: _is_vision(people),
+        "joints leftshoulder neck root rightupleg joint confidence location observations",
+        y_up=True,
+    ),
     Layout(
         "easymocap",
         "EasyMocap annotations",
@@ -70,13 +82,13 @@ LAYOUTS = (
     Layout(
         "yolo-json",
         "YOLO pose JSON",
-        lambda _, one: _is_yolo(one),
+        lambda _, people: _is_yolo(people[0]),
         "name class confidence box keypoints x y visible",
     ),
     Layout(
         "mmpose",
         "MMPose JSON",
-        lambda content, one: _scored(one) or _is_mmpose(content),
+        lambda content, people: _scored(people[0]) or _is_mmpose(content),
         "metainfo instanceinfo instances predictions keypointscores bboxscore",
     ),
     Layout(
@@ -101,10 +113,10 @@ def fits(source: Source, layout: Layout) -> bool:
 def _layout_of(source: Source) -> Layout | None:
     content = next(iter(cameras_of(source.json).values()))
     frames = frames_of(content)
-    one = next((person for _, people in frames for person in people), None)
-    if one is None:
+    people = [person for _, people in frames[:LOOKED_INTO] for person in people]
+    if not people:
         return None
-    return next(each for each in LAYOUTS if each.matches(content, one))
+    return next(each for each in LAYOUTS if each.matches(content, people))
 
 
 def read(source: Source, layout: Layout) -> list[View]:
@@ -126,9 +138,20 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
     try:
         frames = _frames(source, content)
         everybody = [person for _, people in frames for person in people]
-        detections = [
-            [points_of(one, what, y_first=layout.y_first) for one in people] for _, people in frames
-        ]
+        named = named_points(everybody)
+        names: tuple[str, ...] | None
+        if named is not None and not layout.y_first:
+            mine = iter(named)
+            people_named = [[next(mine) for _ in people] for _, people in frames]
+            names, detections = side_by_side(people_named, what)
+        else:
+            names, detections = (
+                None,
+                [
+                    [points_of(one, what, y_first=layout.y_first) for one in people]
+                    for _, people in frames
+                ],
+            )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, FormatError):
             raise
@@ -139,7 +162,10 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
     if len(set(given)) == len(frames):
         numbers = np.array(given, np.int64)
     order = np.argsort(numbers)
-    names = names_of(content, everybody, keypoints.shape[2])
+    names = names or names_of(content, everybody, keypoints.shape[2])
+    note = ""
+    if layout.y_up:
+        keypoints, note = turned_down(keypoints, names or ())
     fps = content.get("fps") if isinstance(content, dict) else None
     return View(
         name,
@@ -151,6 +177,7 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
         image_size=size_of(content),
         fps=float(fps) if isinstance(fps, int | float) and fps > 0 else None,
         skeletons=SKELETONS,
+        notes=(note,) if note else (),
     )
 
 
@@ -185,6 +212,11 @@ def _is_vitpose(content: Any) -> bool:
         and {"keypoints", "skeleton"} <= content.keys()
         and isinstance(content["keypoints"], list)
     )
+
+
+def _is_vision(people: Sequence[Any]) -> bool:
+    named = named_points(people)
+    return named is not None and is_vision({name for person in named for name in person})
 
 
 def _is_yolo(person: Any) -> bool:
