@@ -38,6 +38,7 @@ ENV NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES=
 RUN fewview precompile
 
 FROM ${PYTHON}
+LABEL org.opencontainers.image.title="Fewview" org.opencontainers.image.version="0.1.0"
 RUN useradd --create-home --uid 1000 fewview && install -d -m 700 -o fewview -g fewview /data
 COPY --from=build /opt/fewview /opt/fewview
 ENV PATH=/opt/fewview/bin:$PATH \

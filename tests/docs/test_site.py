@@ -1,5 +1,7 @@
 """The site of docs/: every link leads somewhere, and no page asks another host."""
 
+import html
+import json
 import os
 import re
 import shutil
@@ -9,6 +11,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+
+from models.findings.catalogue import CODES
+from service.http.errors import PROBLEMS
 
 ROOT = Path(__file__).parents[2]
 # What a browser loads by itself, by the attribute that has the address.
@@ -47,10 +52,47 @@ class Loads(HTMLParser):
             self.addresses.append(str(given[where]))
 
 
-def test_the_site_is_built_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
-    site = tmp_path / "site"
-    built = build(ROOT, site)
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the site."""
+    folder = tmp_path_factory.mktemp("site") / "site"
+    built = build(ROOT, folder)
     assert built.returncode == 0, built.stderr
+    return folder
+
+
+class Links(HTMLParser):
+    """Collects where a page leads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "a":
+            self.addresses.add(str(dict(attrs).get("href")))
+
+
+def test_the_search_has_every_finding_and_every_error(site: Path) -> None:
+    documents = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    texts = [re.sub(r"<[^>]*>|\s+", " ", found["text"]) for found in documents]
+    known = " ".join(" ".join(text.split()) for text in texts)
+    sought = [*CODES, *PROBLEMS, *(title for _status, title in PROBLEMS.values())]
+    assert not [each for each in sought if html.escape(each, quote=False) not in known]
+
+
+def test_the_first_page_leads_to_what_newcomers_look_for(site: Path) -> None:
+    links = Links()
+    links.feed((site / "index.html").read_text(encoding="utf-8"))
+    assert {
+        "api.html#how-to-give-a-lens",
+        "findings.html",
+        "streaming.html#frames-and-answers-as-bytes",
+        "development.html",  # how to add a format
+    } <= links.addresses
+
+
+def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert {site / "tutorials" / "sleap.html", site / "source" / "client" / "index.html"} < set(
         pages
