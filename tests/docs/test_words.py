@@ -21,6 +21,7 @@ BUDGETS = {
     "docs/page.md": 700,
     "docs/findings.md": 1500,
     "docs/api.md": 1200,
+    "docs/errors.md": 600,
     "docs/clients.md": 300,
     "docs/streaming.md": 1500,
     "docs/operations.md": 2400,
