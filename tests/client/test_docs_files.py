@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fewview.api.lifting import Lift
 from fewview.calibration import read_cameras
+from fewview.commands.reading import OPTIONS
 from fewview.readers.registry import NAMES
 from safetensors.numpy import load_file
 
@@ -68,7 +69,9 @@ def test_everything_shown_runs_in_its_order(
     )
 
 
-def test_every_format_that_is_read_is_described() -> None:
+def test_every_format_and_option_of_reading_is_described() -> None:
     text = (ROOT / "docs/files.md").read_text(encoding="utf-8")
     (section,) = re.findall(r"^## What is read\n(.*?)^## ", text, re.DOTALL | re.MULTILINE)
     assert set(NAMES) <= set(re.findall(r"`([a-z0-9-]+)`", section))
+    options = {f"--{name.replace('_', '-')}" for name in OPTIONS}
+    assert options <= set(re.findall(r"`(--[a-z-]+)", text))

@@ -74,8 +74,8 @@ def test_a_page_is_as_short_as_its_budget(name: str) -> None:
 def test_every_page_has_a_budget_and_all_together_are_short_enough() -> None:
     without = {name for name in NAMES if not {name, str(Path(name).parent)} & set(BUDGETS)}
     assert without <= NOT_YET
-    counted = {name: words(page.read_text()) for name, page in NAMES.items()}
-    assert sum(counted[name] for name in counted if name not in NOT_YET) <= TOTAL
+    texts = [page.read_text() for name, page in NAMES.items() if name not in NOT_YET]
+    assert sum(len(text.split()) for text in texts) <= TOTAL  # bars of tables, too
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in NOT_YET])
