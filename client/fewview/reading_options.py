@@ -58,6 +58,9 @@ class ReadingOptions:
     offset_seconds
         By how much views show every moment later than the others, negative if earlier: text such
         as "cam2=4.2".
+    views_in_names
+        Words of the cameras that keypoints' names begin or end with; text with commas is a list.
+        None to find them, "none" if there are none.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class ReadingOptions:
     mirror: Sequence[str] | str | None = None
     offset: str | None = None
     offset_seconds: str | None = None
+    views_in_names: Sequence[str] | str | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence <= 1:
@@ -94,6 +98,13 @@ class ReadingOptions:
         self.rates([""])
         self.corners([""])
         self.delays([""])
+
+    @property
+    def words_of_views(self) -> list[str] | None:
+        """The words of cameras in keypoints' names; None to find them."""
+        given = self.views_in_names
+        listed = given.split(",") if isinstance(given, str) else given
+        return None if listed is None else [word.strip() for word in listed if word.strip()]
 
     def sizes(self, views: Sequence[str]) -> list[Size | None]:
         """Return the image size of each view, None where it was not given.

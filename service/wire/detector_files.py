@@ -101,6 +101,12 @@ class DetectorReading(BaseModel):
         description="Of `files`: by how much views show every moment later than the others, such"
         " as `cam2=4.2`; negative where earlier. Files without times need `fps`.",
     )
+    views_in_names: str = Field(
+        "",
+        max_length=LONGEST_TEXT,
+        description="Of `files`: words of the cameras that keypoints' names begin or end with, such"
+        " as `real,mirror`; found out if not given, `none` if there are none.",
+    )
     skeleton_name: str = Field(
         "", description=f"Of `files`: names the keypoints: {', '.join(NAMED)}."
     )
@@ -192,6 +198,7 @@ def read_files(
             mirror=form.mirror or None,
             offset=form.offset or None,
             offset_seconds=form.offset_seconds or None,
+            views_in_names=form.views_in_names or None,
         )
         with TemporaryDirectory(prefix="fewview-") as folder:
             found = read_apart(

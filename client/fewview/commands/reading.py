@@ -74,6 +74,12 @@ OPTIONS: dict[str, Any] = {
         str | None,
         typer.Option(help="How much later views show every moment: `cam2=4.2`; earlier: `-4.2`."),
     ],
+    "views_in_names": Annotated[
+        str | None,
+        typer.Option(
+            help="Words of cameras in keypoints' names: `real,mirror`; `none` if there are none."
+        ),
+    ],
 }
 
 

@@ -1,4 +1,4 @@
-"""Views of one person each, side by side: common keypoints, common frames."""
+"""Views of one person each, side by side: all keypoints, common frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +11,8 @@ from fewview.errors import FormatError
 from fewview.readers.large_arrays import blocks, built
 from fewview.readers.skeletons import edges_of, skeleton_of
 from fewview.readers.timing import together
-from fewview.readers.views import Edges, Int64, View, bounded, unseen, with_keypoints
+from fewview.readers.union import with_all_keypoints
+from fewview.readers.views import Int64, View, bounded, unseen
 from fewview.reading_options import Align
 
 SLIGHTLY_ABOVE = 1.1  # peaks of heatmaps that are interpolated
@@ -95,7 +96,7 @@ def combined(views: Sequence[View], *, align: Align, one_file: bool = False) -> 
     """
     notes: list[str] = []
     notes += [f"{view.name}: {note}" for view in views for note in view.notes]
-    views = _common_keypoints(list(views), notes)
+    views = _same_keypoints(list(views), notes)
     for view in views:
         if view.fps is not None and not 0 < view.fps < inf:
             raise FormatError(f"`fps` is {view.fps}, not above 0", place=view.name, option="fps")
@@ -181,52 +182,22 @@ def _named(view: View, skeleton: str | None, notes: list[str]) -> View:
     return view
 
 
-def _common_keypoints(views: list[View], notes: list[str]) -> list[View]:
-    """Return the views with the keypoints that all have, in the order of the first."""
+def _same_keypoints(views: list[View], notes: list[str]) -> list[View]:
+    """Return the views with the keypoints of all; those without names have those of a view."""
     counts = {view.keypoints.shape[2] for view in views}
     names = [view.keypoint_names for view in views]
-    if None in names:
-        if len(counts) > 1:
-            raise FormatError(
-                "the cameras have "
-                + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
-                + " keypoints, and not all have names to match them by",
-                option="skeleton",
-                remedy="NAME",
-            )
-        known = next((each for each in names if each is not None), None)
-        return [replace(view, keypoint_names=known) for view in views]
-    named = [each for each in names if each is not None]
-    in_all = set(named[0]).intersection(*named[1:])
-    common = [name for name in named[0] if name in in_all]
-    if not common:
+    if None not in names:
+        return with_all_keypoints(views, notes)
+    if len(counts) > 1:
         raise FormatError(
-            "the cameras have no keypoint of the same name: "
-            + "; ".join(f"{v.name}: {', '.join(n[:4])}" for v, n in zip(views, named, strict=True))
+            "the cameras have "
+            + ", ".join(f"{view.name} {view.keypoints.shape[2]}" for view in views)
+            + " keypoints, and not all have names to match them by",
+            option="skeleton",
+            remedy="NAME",
         )
-    for view, each in zip(views, named, strict=True):
-        left = [name for name in each if name not in in_all]
-        if left:
-            notes.append(f"{view.name}: {', '.join(left)} left out, as not all cameras have them")
-    return [_only_keypoints(view, common) for view in views]
-
-
-def _only_keypoints(view: View, common: list[str]) -> View:
-    names = list(view.keypoint_names or ())
-    if names == common:
-        return view
-    first = {name: place for place, name in reversed(list(enumerate(names)))}
-    index = [first[name] for name in common]
-    place = {old: new for new, old in enumerate(index)}
-    edges: Edges | None = None
-    if view.edges is not None:
-        edges = tuple((place[a], place[b]) for a, b in view.edges if a in place and b in place)
-    return replace(
-        with_keypoints(view, index),
-        points3d=None if view.points3d is None else view.points3d[:, index],
-        keypoint_names=tuple(common),
-        edges=edges,
-    )
+    known = next((each for each in names if each is not None), None)
+    return [replace(view, keypoint_names=known) for view in views]
 
 
 def _truth(views: list[View], rows: Int64) -> Float32 | None:

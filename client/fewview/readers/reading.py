@@ -21,8 +21,10 @@ from fewview.readers.registry import views_of
 from fewview.readers.sides import counted_from, doubts_of_sides, put_right
 from fewview.readers.thumbnails import people_of
 from fewview.readers.timing import put_in_step, with_rates
+from fewview.readers.union import with_all_keypoints
 from fewview.readers.videos import with_video
 from fewview.readers.views import View, unseen
+from fewview.readers.views_in_names import with_views_in_names
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
 SHARES = 3.0  # most pixels lie further out than this many images
@@ -47,6 +49,7 @@ def read(
     mirror: Sequence[str] | str | None = None,
     offset: str | None = None,
     offset_seconds: str | None = None,
+    views_in_names: Sequence[str] | str | None = None,
 ) -> Capture:
     """Read the 2D keypoints of all cameras.
 
@@ -93,6 +96,9 @@ def read(
     offset_seconds
         By how much views show every moment later than the others: "cam2=4.2", negative if earlier.
         Frames are then joined by times, so files without times need `fps`.
+    views_in_names
+        Words of the cameras that keypoints' names begin or end with: "real,mirror"; None to find
+        them, "none" if there are none.
 
     Returns
     -------
@@ -121,6 +127,7 @@ def read(
         mirror=mirror,
         offset=offset,
         offset_seconds=offset_seconds,
+        views_in_names=views_in_names,
     )
     return read_with(paths, options)
 
@@ -150,6 +157,7 @@ def read_with(
         given = paths_at(paths, folder)
         beside = calibrations_at(given, notes)
         views, one_file = _views_at(given, beside.paths, options, notes)
+    views = with_views_in_names(views, options.words_of_views)
     names = distinct_parts([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
     wanted = options.named("cameras", names)
@@ -169,10 +177,14 @@ def read_with(
     if any(delays):
         clean = put_in_step(clean, delays, notes)
         align = "time" if align == "auto" else align
+    clean = with_all_keypoints(clean, notes)
     picked, more = pick(clean, options.person)
     called = named(picked, options.skeleton, more)
     people = people_of(clean, picked, called, options.y) if with_people else None
-    picked = put_right(called, options.y, options.named("mirror", names) or [], more)
+    mirrored = options.named("mirror", names)
+    if mirrored is None:
+        mirrored = [index for index, view in enumerate(called) if view.mirrored]
+    picked = put_right(called, options.y, mirrored, more)
     capture = combined(picked, align=align, one_file=one_file)
     return replace(
         capture,

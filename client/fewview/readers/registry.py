@@ -50,7 +50,7 @@ class Format:
 FORMATS = (
     Format("npz", "npz", npz.fits, npz.read),
     Format("deeplabcut-h5", "DeepLabCut or Anipose H5", deeplabcut.fits_h5, deeplabcut.read_h5),
-    Format("lightning-pose", "Lightning Pose CSV", lightning_pose.fits, lightning_pose.read),
+    Format("lightning-pose", "Lightning Pose CSV", lightning_pose.fits, deeplabcut.read_csv),
     Format(
         "deeplabcut-csv",
         "DeepLabCut CSV",

@@ -53,7 +53,8 @@ def put_right(
         keypoints = view.keypoints  # read for this capture alone: changed in place
         for axis, turned, what in ((1, y == "up", "y"), (0, index in mirrored, "x")):
             if turned:
-                last = _last(view, axis)
+                # A mirror in the image of other views has their right edge.
+                last = max(_last(v, axis) for v in (views if view.mirrored else [view]))
                 for block in blocks(keypoints):
                     keypoints[block][..., axis] = last - keypoints[block][..., axis]
                 notes.append(f"{view.name}: {what} is {last:g} minus what the file has")

@@ -41,6 +41,8 @@ class View:
         Names of skeletons of this format, which it identifies by their numbers of keypoints.
     pixels_from_zero
         Whether (0, 0) may be a detection; otherwise it means none.
+    mirrored
+        Whether the file shows that this is a mirror's image.
     notes
         Sentences on how the file was read and what was left out.
     """
@@ -58,6 +60,7 @@ class View:
     points3d: Float32 | None = None
     skeletons: tuple[str, ...] = ()
     pixels_from_zero: bool = False
+    mirrored: bool = False
     notes: tuple[str, ...] = ()
 
 

@@ -35,6 +35,7 @@ export const READING: Record<string, Option> = {
   mirror: { label: "Mirrored views", hint: "which views show mirror images, such as cam2" },
   offset: { label: "Corner of a crop", hint: "in the whole image, from which keypoints count, such as cam2=560,180" },
   offset_seconds: { label: "Late by, in seconds", hint: "each view against the others, such as cam2=4.2" },
+  views_in_names: { label: "Cameras in the names of keypoints", hint: "such as real,mirror; none if there are none" },
 };
 
 /** Returns the options that a link to the form has given. */

@@ -213,7 +213,7 @@ def test_broken_csv_is_refused(tmp_path: Path, text: str) -> None:
 @pytest.mark.skipif(not files.RAW.is_dir(), reason=f"no samples in {files.RAW}")
 def test_real_samples() -> None:
     mirrors = fewview.read(files.RAW / "lightningpose" / "CollectedData.csv")
-    assert mirrors.keypoints.shape == (90, 2, 7, 2)
+    assert mirrors.keypoints.shape == (90, 2, 10, 2)  # of which each view has some alone
     np.testing.assert_allclose(mirrors.keypoints[0, :, 0], [[77.25, 36.25], [83.75, 270.25]])
     for path in ("c3d/Optotrak.c3d", "dlc2kinematics/runway03.c3d"):
         with pytest.raises(FormatError, match="3D points"):

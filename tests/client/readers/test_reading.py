@@ -74,15 +74,18 @@ def test_weak_detections_are_gaps_and_confidences_are_clipped(tmp_path: Path) ->
     assert capture.confidence.max() == 1
 
 
-def test_common_keypoints_are_matched_by_name(tmp_path: Path) -> None:
+def test_all_keypoints_of_all_cameras_are_matched_by_name(tmp_path: Path) -> None:
     turned = XYZ[:, [2, 1, 0, 3]]
     first = csv(tmp_path / "a.csv")
-    second = csv(tmp_path / "b.csv", ("paw", "tail", "nose", "whisker"), turned)
+    second = csv(tmp_path / "b.csv", ("Paw", "tail", "nose", "whisker"), turned)
     capture = fewview.read([first, second])
-    assert capture.keypoint_names == ("nose", "tail", "paw")
-    np.testing.assert_array_equal(capture.keypoints[:, 0], capture.keypoints[:, 1])
-    assert "a: ear left out" in notes_of(capture)
-    assert "b: whisker left out" in notes_of(capture)
+    assert capture.keypoint_names == (*files.NAMES, "whisker")
+    np.testing.assert_array_equal(capture.keypoints[:, 0, :3], capture.keypoints[:, 1, :3])
+    np.testing.assert_allclose(capture.keypoints[:, 0, 3], XYZ[:, 3, :2], rtol=1e-6)
+    np.testing.assert_allclose(capture.keypoints[:, 1, 4], XYZ[:, 3, :2], rtol=1e-6)
+    assert not capture.observed()[:, [0, 1], [4, 3]].any()
+    assert "a alone has ear" in notes_of(capture)
+    assert "b alone has whisker" in notes_of(capture)
     with pytest.raises(FormatError, match="same name"):
         fewview.read([first, csv(tmp_path / "c.csv", "qrst")])
 
