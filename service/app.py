@@ -115,7 +115,7 @@ REFUSALS = (refuse_foreign_changes, refuse_unknown_query)
 QUEUE_PATIENCE_SECONDS = 0.5  # requests do not wait for a queue that hangs: the records will do
 
 # Files of detectors that are read beside as many as there may be large uploads: reading may take
-# minutes, and this many slow ones keep no other waiting. Each takes `reading_apart.MEMORY` at most.
+# minutes, and this many slow ones keep no other waiting. `reading_apart.MEMORY` bounds each.
 SPARE_READERS = 2
 
 # Endpoints, and pieces of downloads, that are worked on at a time. A process has 40 threads for

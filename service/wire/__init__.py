@@ -4,10 +4,10 @@
     Arrays from and to bytes, and from nested lists.
 ``captures``
     Keypoints of a request, checked against the limits.
-``detector_files``, ``reading_apart``
-    Files as detectors write them, read in a separate process.
-``forks``, ``children``, ``confinement``, ``system_calls``, ``libc``
-    Processes for the bodies of strangers, and what they cannot do.
+``detector_files``, ``reading_apart``, ``file_readers``
+    Files as detectors write them, read in the sandbox.
+``sandbox``, ``confinement``, ``system_calls``, ``libc``
+    Processes for the files and bodies of strangers, and what they cannot do.
 ``schemas``, ``skeletons``, ``cameras``
     The JSON forms of keypoints and lifts, of skeletons, and of a model's cameras.
 ``representations``

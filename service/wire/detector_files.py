@@ -21,8 +21,7 @@ from service.settings import Settings
 from service.wire.arrays import Arrays
 from service.wire.calibrations import CaptureCalibration, checked_calibration
 from service.wire.people import ViewPeoplePreview
-from service.wire.reading_apart import cameras_apart, read_apart
-from service.wire.reading_child import OUT, Unpacking
+from service.wire.reading_apart import Unpacking, cameras_apart, read_apart
 
 LONGEST_NAME = 100  # bytes of a file's name, characters of a camera's that is named after it
 # What files may unpack to: so many times their size, or this. Tables and JSON shrink to a tenth in
@@ -158,7 +157,7 @@ def read_files(
     with_people: bool = False,
     may_keep: int | None = None,
 ) -> ReadFiles:
-    """Read an upload's files, in a separate process.
+    """Read the uploaded files in a separate process.
 
     Parameters
     ----------
@@ -300,4 +299,4 @@ def _name(given: str, taken: list[str]) -> str:
     plain = _ODD.sub("_", last).lstrip(". ")
     plain = plain.encode()[-LONGEST_NAME:].decode(errors="ignore") or "file"
     numbered = (f"{number}_{plain}" for number in count(1))
-    return next(name for name in chain([plain], numbered) if name not in (OUT, *taken))
+    return next(name for name in chain([plain], numbered) if name not in taken)

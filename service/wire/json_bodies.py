@@ -16,8 +16,8 @@ from service.http.errors import ApiError, from_validation
 from service.http.uploads import Upload
 from service.wire.arrays import Arrays, Unlisted
 from service.wire.captures import Converted, convert
-from service.wire.forks import EndedError, Forks
 from service.wire.json_kinds import refuse_converted
+from service.wire.sandbox import EndedError, Limits, shared
 from service.wire.slices import read_in_slices
 
 Body = TypeVar("Body", bound=BaseModel)
@@ -27,8 +27,6 @@ LIST_BYTES, ITEM_BYTES = 88, 32
 TIMES_DECODED = 2  # that a process may take of the bytes of all lists: numbers are listed twice
 RETRY_SECONDS = "5"
 IN_PARTS = "Send safetensors or npz (application/octet-stream), or the frames in parts."
-
-_forks = Forks(__name__)
 
 
 def read_json(upload: Upload, kind: type[Body]) -> Body:
@@ -96,8 +94,9 @@ def _read_apart(upload: Upload, kind: type[BaseModel]) -> dict[str, Any]:
         "max_array_bytes": upload.max_array_bytes,
     }
     try:
-        answer, arrays = _forks.work(
-            kind.__module__, asked, upload.data, max_bytes=TIMES_DECODED * upload.max_decoded_bytes
+        most = TIMES_DECODED * upload.max_decoded_bytes
+        answer, arrays = shared.work(
+            [__name__, kind.__module__], asked, upload.data, limits=Limits(most, most)
         )
     except EndedError as error:
         raise ApiError(

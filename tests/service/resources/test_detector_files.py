@@ -2,12 +2,8 @@
 
 import io
 import json
-import os
 import pickle
 import re
-import sys
-import threading
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +11,10 @@ import h5py
 import httpx2
 import numpy as np
 import pytest
-from fewview.errors import FormatError
-from fewview.readers.large_arrays import LARGE
-from fewview.reading_options import ReadingOptions
 from starlette.testclient import TestClient
 
-from service.wire import reading_apart
-from service.wire.reading_apart import read_apart
 from tests.client.readers import files
-from tests.processes import descendants
 from tests.service.conftest import problem, zip_of
-from tests.waiting import wait_for
 
 NAMES = files.NAMES
 LEFT, RIGHT = files.walk(12), files.walk(12, start=200, seed=2)
@@ -295,15 +284,6 @@ def test_a_request_sent_again_makes_one_dataset(api: TestClient, tables: Parts) 
     problem(answer, 422, "idempotency_key_reused")
 
 
-def test_reading_that_takes_too_long_or_ends_its_process_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table(tmp_path / "a.csv", LEFT)
-    monkeypatch.setattr(reading_apart, "SECONDS", 0.001)
-    with pytest.raises(FormatError, match=r"a\.csv: took more than"):
-        read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
-
-
 def test_names_may_be_long_and_the_same(api: TestClient, tables: Parts) -> None:
     left, right = (data for _, (_, data) in tables)
     for names in (["漢" * 200, "漢" * 200 + ".csv"], ["a", "2_a", "a"], ["out", "..", "../.."]):
@@ -311,75 +291,6 @@ def test_names_may_be_long_and_the_same(api: TestClient, tables: Parts) -> None:
         made = send(api, sent)
         assert made["views"] == len(names)
         assert len(set(made["view_names"])) == len(names)
-
-
-def test_files_of_strangers_are_not_imported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table(tmp_path / "numpy.py", LEFT)
-    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as of `python -c`
-    assert read_apart(tmp_path, ["numpy.py"], ReadingOptions(), max_bytes=2**20).frames == 12
-
-
-@pytest.mark.thorough
-def test_large_arrays_lie_in_the_folder_of_the_upload(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    temporary, folder = tmp_path / "temporary", tmp_path / "folder"
-    temporary.mkdir()
-    folder.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
-    frames = 1 + LARGE // (24 * 4)  # of 24 numbers
-    names = ",".join(f"{axis}{k}" for k in range(8) for axis in ("x", "y", "confidence"))
-    rows = ",".join(["5", "7", "1"] * 8) + "\n"
-    (folder / "a.csv").write_text(f"{names}\n{rows * frames}")
-    found = read_apart(folder, ["a.csv"], ReadingOptions(), max_bytes=2**30)
-    assert found.keypoints.shape == (frames, 1, 8, 2)
-    assert (found.keypoints == (5, 7)).all()
-    assert {path.name for path in folder.iterdir()} == {"a.csv", "out"}
-
-
-def test_what_was_unpacked_goes_even_if_reading_hangs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    temporary, folder = tmp_path / "temporary", tmp_path / "folder"
-    temporary.mkdir()
-    folder.mkdir()
-    (folder / "a.zip").write_bytes(openpose(LEFT))
-    os.mkfifo(folder / "b")  # which nobody writes to
-    monkeypatch.setenv("TMPDIR", str(temporary))
-    monkeypatch.setattr(reading_apart, "SECONDS", 3)
-    with pytest.raises(FormatError, match="took more than"):
-        read_apart(folder, ["a.zip", "b"], ReadingOptions(), max_bytes=2**20)
-    assert list(folder.glob("fewview-*"))
-    assert not list(temporary.iterdir())
-
-
-def test_what_reads_files_of_strangers_knows_no_passwords(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    secrets = ("FEWVIEW_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD")
-    for name in secrets:
-        monkeypatch.setenv(name, "secret-of-the-service")
-    os.mkfifo(tmp_path / "a.csv")  # which keeps the reader waiting
-    monkeypatch.setattr(reading_apart, "SECONDS", 5)
-    seen: list[bytes] = []
-
-    def look() -> bool:
-        for child in descendants(os.getpid()):
-            with suppress(OSError):
-                given = Path(f"/proc/{child}/environ").read_bytes()
-                if f"TMPDIR={tmp_path}".encode() in given:
-                    seen.append(given)
-        return bool(seen)
-
-    looking = threading.Thread(target=wait_for, args=(look, "the reader"))
-    looking.start()
-    with pytest.raises(FormatError, match="took more than"):
-        read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**20)
-    looking.join()
-    assert seen
-    assert not any(b"secret-of-the-service" in given for given in seen)
 
 
 def test_a_form_has_one_file_of_arrays_or_files_of_detectors(

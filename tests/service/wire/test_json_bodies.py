@@ -29,7 +29,7 @@ from tests.tiers import thorough_after
 from tests.waiting import wait_for
 
 LARGE = b" " * MIB  # makes any body large
-READER = b"json_bodies"  # in the command of the process that forks them
+READER = b"service.wire.sandbox"  # in the command of the process that forks them
 
 BODIES: dict[str, tuple[str, Any]] = {
     "captures": ("/datasets", {"keypoints": FRAME}),

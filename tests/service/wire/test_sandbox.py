@@ -1,16 +1,121 @@
-"""What a reader of strangers' files can do: read its folder, and nothing else."""
+"""What a process that works for strangers can do: its work, within limits, in its folder.
+
+What it answers is not trusted: the file or body that it reads may have taken it over.
+"""
 
 import json
 import os
 import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from fewview.errors import FormatError
+from fewview.readers.large_arrays import LARGE
+from fewview.reading_options import ReadingOptions
 
+from service.wire import reading_apart
 from service.wire.confinement import available
+from service.wire.reading_apart import read_apart
+from service.wire.sandbox import EndedError, LateError, Limits, Sandbox, shared
+from tests.client.readers import files
 from tests.fork_server import run
+from tests.processes import descendants
+from tests.service.conftest import zip_of
+from tests.service.wire import sandboxed
+from tests.waiting import wait_for
 from worker.process import python
+
+LIMITS = Limits(memory=2**28, arrays=2**20, file=2**16)
+WORK = [sandboxed.__name__]
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    made = Sandbox()
+    yield made
+    made.stop()
+
+
+@pytest.mark.parametrize("lie", sandboxed.LIES)
+def test_an_answer_of_more_than_may_come_is_none(sandbox: Sandbox, lie: str) -> None:
+    with pytest.raises(EndedError):
+        sandbox.work(WORK, {"lie": lie}, limits=LIMITS)
+    answer, arrays = sandbox.work(WORK, {}, b"abc", limits=LIMITS)
+    assert answer["came"] == 3
+    assert arrays["a"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("name", ["memory", "file"])
+def test_it_gets_as_much_as_it_may_and_no_more(sandbox: Sandbox, tmp_path: Path, name: str) -> None:
+    most = getattr(LIMITS, name)
+    asked = {name: most // 2}
+    sandbox.work(WORK, asked, limits=LIMITS, folder=tmp_path)
+    assert [path.stat().st_size for path in tmp_path.iterdir()] == [most // 2] * (name == "file")
+    with pytest.raises(EndedError):
+        sandbox.work(WORK, {name: 8 * most}, limits=LIMITS, folder=tmp_path)
+
+
+def test_what_takes_too_long_is_killed(sandbox: Sandbox) -> None:
+    sandbox.work(WORK, {}, limits=LIMITS)
+    before = descendants(os.getpid())
+    with pytest.raises(LateError):
+        sandbox.work(WORK, {"seconds": 60}, limits=LIMITS._replace(seconds=0.5))
+    wait_for(lambda: descendants(os.getpid()) <= before, "the end of what was late", 20)
+
+
+def test_it_knows_no_passwords(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("FEWVIEW_DATABASE_URL", "AWS_SECRET_ACCESS_KEY", "PGPASSWORD"):
+        monkeypatch.setenv(name, "secret-of-the-service")
+    fresh = Sandbox()
+    answer, _ = fresh.work(WORK, {}, limits=LIMITS)
+    fresh.stop()
+    assert answer["environment"]["OMP_NUM_THREADS"] == "1"
+    assert "secret-of-the-service" not in answer["environment"].values()
+
+
+def test_files_of_strangers_are_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = files.walk(12).reshape(12, -1)
+    files.dlc_csv(tmp_path / "numpy.py", files.columns(files.NAMES), table)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])  # as of `python -c`
+    shared.stop()  # it starts with these paths
+    assert read_apart(tmp_path, ["numpy.py"], ReadingOptions(), max_bytes=2**20).frames == 12
+    shared.stop()
+
+
+@pytest.mark.thorough
+def test_large_arrays_lie_in_the_folder_of_the_upload(tmp_path: Path) -> None:
+    frames = 1 + LARGE // (24 * 4)  # of 24 numbers
+    names = ",".join(f"{axis}{k}" for k in range(8) for axis in ("x", "y", "confidence"))
+    rows = ",".join(["5", "7", "1"] * 8) + "\n"
+    (tmp_path / "a.csv").write_text(f"{names}\n{rows * frames}")
+    found = read_apart(tmp_path, ["a.csv"], ReadingOptions(), max_bytes=2**30)
+    assert found.keypoints.shape == (frames, 1, 8, 2)
+    assert (found.keypoints == (5, 7)).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_what_was_unpacked_goes_even_if_reading_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, folder = tmp_path / "temporary", tmp_path / "folder"
+    temporary.mkdir()
+    folder.mkdir()
+    frame = json.dumps({"people": [{"pose_keypoints_2d": [5, 7, 1] * 25}]}).encode()
+    (folder / "a.zip").write_bytes(
+        zip_of({f"cam/cam_{n:012}_keypoints.json": frame for n in range(12)})
+    )
+    os.mkfifo(folder / "b")  # which nobody writes to
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setattr(reading_apart, "SECONDS", 3)
+    with pytest.raises(FormatError, match="took more than"):
+        read_apart(folder, ["a.zip", "b"], ReadingOptions(), max_bytes=2**20)
+    assert list(folder.glob("fewview-*"))
+    assert not list(temporary.iterdir())
+
 
 TRIALS = """
 import ctypes, fcntl, json, os, platform, resource, signal, socket, subprocess, sys, threading
