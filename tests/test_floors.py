@@ -49,16 +49,15 @@ PACKAGES = {
         ("cli",),
     ),
     CLIENT: (
+        ("geometry",),
         (
             "animation",
             "capture",
             "errors",
             "evaluation",
             "moments",
-            "placing",
             "plain",
             "sockets",
-            "upright",
         ),
         (
             "calibration",
@@ -200,7 +199,7 @@ def test_the_client_knows_no_floor_and_is_known_for_its_cameras_and_rooms_alone(
         if module == "service.wire.labels":
             allowed = {"writers"}
         if module == "worker.rooms":
-            allowed = {"placing", "room"}
+            allowed = {"geometry"}
         if module == "service.http.peers":
             allowed = {"sockets"}
         assert {name for _, name in used} <= allowed | printed, module

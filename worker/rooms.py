@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from fewview.placing import in_room
-from fewview.room import in_rig
+from fewview.geometry.placing import in_room
+from fewview.geometry.rigs import in_rig
 from numpy.typing import NDArray
 from safetensors.numpy import load
 

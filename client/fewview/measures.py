@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fewview.placing import FULL
+from fewview.geometry.placing import FULL
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]

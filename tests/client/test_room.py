@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fewview.calibration import Camera
-from fewview.placing import in_room
+from fewview.geometry.placing import in_room
 from fewview.room import Room, to_room
 from numpy.typing import NDArray
 from safetensors.numpy import load_file

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fewview.capture import Float32, located
 from fewview.errors import FormatError
-from fewview.placing import row_medians
+from fewview.geometry.placing import row_medians
 from fewview.readers.large_arrays import blocks, built
 from fewview.readers.matching import SURE, Track, same_people
 from fewview.readers.timing import common_numbers

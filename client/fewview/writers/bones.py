@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fewview.room import nearest_rotation
+from fewview.geometry.rigs import nearest_rotation
 
 Float64 = NDArray[np.float64]
 
