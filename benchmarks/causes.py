@@ -24,7 +24,7 @@ from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import CalibrationProblem, problem_of
 from models.capture.metrics import pa_mpjpe
 from models.causes.cause import Cause, mended
-from models.causes.search import find_causes
+from models.causes.cause_search import find_causes
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 

@@ -24,22 +24,22 @@ from starlette.types import ASGIApp
 
 from service.http import errors
 from service.http.authentication import PROBES, Authentication, needed
+from service.http.body_bytes import BodyLimit
 from service.http.connections import KEEP_ALIVE_SECONDS, Connection
 from service.http.dependencies import refuse_foreign_changes, refuse_unknown_query
 from service.http.faults import Faults
 from service.http.head import Head
 from service.http.hosts import Hosts
+from service.http.key_rates import Rates
 from service.http.keyring import Keyring, fixed_callers
 from service.http.leaving import CLOSE_SECONDS, Server
-from service.http.limits import BodyLimit
 from service.http.local_owner import VARIABLE, LocalOwner
 from service.http.metrics import Metrics, Place, share
 from service.http.operations import registered_schemas
+from service.http.places import InHand, Places, Threads, Turns
 from service.http.preconditions import describe_preconditions
-from service.http.rates import Rates
 from service.http.request_ids import Watched
 from service.http.safe_headers import SafeHeaders
-from service.http.turns import InHand, Places, Threads, Turns
 from service.http.websockets import WebSocketConnection
 from service.page.documentation import serve_documentation
 from service.page.serving import serve_page

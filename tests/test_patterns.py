@@ -30,8 +30,8 @@ SECONDS = 90  # of processor time for all: a quadratic one would take hours
 BOUNDED = {
     "fewview.readers.headers._SPELLINGS": "LONGEST_CELL",
     "fewview.readers.headers._UNIT": "LONGEST_CELL",
-    "fewview.readers.hints._NAME_FIRST": "LONGEST_CELL",
-    "fewview.readers.hints._WORD_FIRST": "LONGEST_CELL",
+    "fewview.readers.unknown_files._NAME_FIRST": "LONGEST_CELL",
+    "fewview.readers.unknown_files._WORD_FIRST": "LONGEST_CELL",
 }
 # Functions that make one of what a caller gives, and why it stays linear.
 MADE = {

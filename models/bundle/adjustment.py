@@ -25,7 +25,7 @@ from models.bundle.problem import (
     Views,
     make_rig,
 )
-from models.bundle.scene_adjustment import costs_of, normal_equations
+from models.bundle.separate_frames import costs_of, normal_equations
 from models.numerics.rotations import rotations_from_vectors
 from models.numerics.steps import Steps
 

@@ -17,7 +17,7 @@ from models.bundle.frame_equations import (
     equations_of_frame,
     make_equations,
 )
-from models.bundle.scene_adjustment import FRAMES_AT_A_TIME
+from models.bundle.separate_frames import FRAMES_AT_A_TIME
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky, cholesky_solve, copy, fill
 from models.numerics.threads import empty_aligned, in_slices

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from models.bundle.frame_equations import NormalEquations
 from models.bundle.problem import POSE, Rig, Scene, ShapePrior, Views, points_in_cameras
-from models.bundle.scene_adjustment import adjust_frames, normal_equations
+from models.bundle.separate_frames import adjust_frames, normal_equations
 
 Float64 = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from models.bundle.elimination import Reduced, eliminate_frames
 from models.bundle.frame import LEAST_DAMPING
 from models.bundle.frame_equations import OUTLIER
 from models.bundle.problem import POSE, Rig, Scene, ShapePrior, Views, points_in_cameras
-from models.bundle.scene_adjustment import normal_equations
+from models.bundle.separate_frames import normal_equations
 from models.bundle.shape_model import similarity_directions
 from models.optics.lenses.projection import project
 

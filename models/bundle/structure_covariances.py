@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from models.bundle.frame import LEAST_DAMPING
 from models.bundle.frame_equations import NormalEquations, eliminate, equations_of_frame
 from models.bundle.problem import Rig, Scene, ShapePrior, Views
-from models.bundle.scene_adjustment import FRAMES_AT_A_TIME, normal_equations
+from models.bundle.separate_frames import FRAMES_AT_A_TIME, normal_equations
 from models.bundle.shape_model import StructureCovariances
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky, fill

@@ -20,7 +20,7 @@ from models.bundle.problem import (
     make_shape_prior,
     points_in_cameras,
 )
-from models.bundle.scene_adjustment import adjust_frames, costs_of
+from models.bundle.separate_frames import adjust_frames, costs_of
 from models.bundle.shape_model import (
     ShapeModel,
     Similarity,

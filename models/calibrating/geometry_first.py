@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from models.bundle.problem import Scene, moving_rig, views_apart
-from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.separate_frames import adjust_frames
 from models.bundle.shape_model import align
+from models.calibrating.arrangement_search import Arranged
 from models.calibrating.doubts import check_given
 from models.calibrating.expectation_maximisation import about_model, learn, regauge
 from models.calibrating.handedness import (
@@ -26,7 +27,6 @@ from models.calibrating.handedness import (
 from models.calibrating.keypoint_rig import lens_kinds, start_from_geometry
 from models.calibrating.pair_lenses import settle_lenses
 from models.calibrating.problem import CalibrationProblem, Solution
-from models.calibrating.search import Arranged
 from models.epipolar.static_rig import StaticRig
 from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.problem import Scene, ShapePrior, make_shape_prior
-from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.separate_frames import adjust_frames
 from models.bundle.shape_model import align, learn_shapes
 from models.calibrating.expectation_maximisation import LEAST_SPREAD, uncertainty
 from models.calibrating.problem import CalibrationProblem, Solution

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.calibrating.arrangement_search import Arranged
 from models.calibrating.expectation_maximisation import learn
 from models.calibrating.lens_prior import TOO_SURE, other_lenses, rig_prior
 from models.calibrating.problem import CalibrationProblem, Solution
-from models.calibrating.search import Arranged
 from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
 

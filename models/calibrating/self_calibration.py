@@ -16,6 +16,7 @@ from models.bundle.initial_poses import WeakPerspectiveScene
 from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.problem import FOCAL, POSE, VIEW, Scene
 from models.bundle.shape_model import MOST_COMPONENTS, unknown_network_errors
+from models.calibrating.arrangement_search import Arranged, search_arrangement
 from models.calibrating.camera_findings import camera_findings, without_symptoms
 from models.calibrating.detected_rig import adjust_to_detected
 from models.calibrating.deviations import deviations
@@ -44,7 +45,6 @@ from models.calibrating.problem import (
     usual_rig,
 )
 from models.calibrating.result import SelfCalibration
-from models.calibrating.search import Arranged, search
 from models.findings.advice import attempt_steps, noticed
 from models.findings.finding import Finding
 from models.network.settling import SETTLE_ALL
@@ -124,7 +124,7 @@ def self_calibrate(
         When the cameras are not determined.
     """
     problem, config, misread, noisy, edges = task
-    arranged = yield from search(problem, answers, config)
+    arranged = yield from search_arrangement(problem, answers, config)
     likely = yield from with_likely_lenses(arranged, _share_left(arranged, noisy))
     problem, best, kept, reason = yield from _refined(likely, noisy, edges)
     sds = deviations(problem, best)

@@ -7,7 +7,7 @@ from models.calibrating.image_sizes import ImageSizes
 from models.calibrating.self_calibration import CalibrationTask, task_of, with_geometry
 from models.capture.observations import pixels_of
 from models.causes.cause import Cause, mended
-from models.causes.search import find_causes
+from models.causes.cause_search import find_causes
 from models.findings.advice import attempt, attempt_steps
 from models.numerics.steps import Steps, finished
 from models.settings.config import FitConfig

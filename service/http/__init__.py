@@ -12,8 +12,10 @@
     Who sends a request: the holder of a key, or the service's own user.
 ``safe_headers``
     What every answer forbids browsers to do with it.
-``limits``, ``uploads``, ``zips``
-    Bodies on their way in, held to their limits.
+``body_bytes``, ``uploads``, ``zips``, ``json_bounds``
+    Bodies on their way in: their bytes in hand, what they are, how many items JSON may have.
+``key_rates``, ``places``, ``fair_queue``
+    How much a key may ask for in a second; places at a time, and who gets the next.
 ``head``
     HEAD wherever there is a GET.
 ``negotiation``, ``downloads``

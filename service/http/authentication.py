@@ -8,9 +8,9 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.http.errors import ApiError
+from service.http.key_rates import Rates
 from service.http.keyring import OWNER, Caller, Keyring
 from service.http.local_owner import LocalOwner
-from service.http.rates import Rates
 from service.settings import Settings, is_loopback
 from store import access_keys
 

@@ -54,7 +54,7 @@ class Connection(HttpToolsProtocol):
     A head (the request line and its headers) has at most `MAX_HEAD_BYTES`, and so has whatever else
     is no body: trailers, extensions of chunks, blank lines. It comes within ``seconds`` of the
     connection, or of its first byte. A client that reads nothing of its answer for three times as
-    long is left. Bodies are bounded by :class:`service.http.limits.BodyLimit`.
+    long is left. Bodies are bounded by :class:`service.http.body_bytes.BodyLimit`.
     """
 
     def __init__(

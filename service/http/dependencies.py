@@ -15,8 +15,8 @@ from starlette.requests import HTTPConnection
 from service.http.errors import ApiError, of_mistakes
 from service.http.keyring import caller_of
 from service.http.origins import refuse_foreign
+from service.http.places import Turns
 from service.http.preconditions import expected_by
-from service.http.turns import Turns
 from service.settings import Settings
 from store.database import Store
 from store.mistakes import MOST, Mistake, pointer, unknown

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ValidationError
 from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 
-from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
+from service.http.json_bounds import check_bounds
 from service.http.zips import ZIP_FAULTS, TooManyMembersError, members_of
 from service.settings import Settings
 

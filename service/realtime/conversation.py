@@ -11,8 +11,8 @@ from fastapi import WebSocket
 from models.lifting.lift import LiftedFrames
 from models.lifting.observing import Following
 from service.http.errors import ApiError
+from service.http.key_rates import Rates
 from service.http.keyring import caller_of
-from service.http.rates import Rates
 from service.realtime.engine import Engine
 from service.realtime.open_streams import OpenStream
 from service.realtime.smoothed_frames import SmoothedFrames

@@ -21,11 +21,11 @@ from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from models.settings.uncertainty import Uncertainty, numbers_of, of_uncertainty
 from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.key_rates import Rates
 from service.http.keyring import caller_of
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import binary_responses, request_body
-from service.http.rates import Rates
-from service.http.turns import Threads, Turns
+from service.http.places import Threads, Turns
 from service.http.uploads import LARGE_BYTES, Upload, read_body
 from service.realtime.engine import Engine
 from service.realtime.frames import to_frames

@@ -14,7 +14,7 @@ from service.http.dependencies import refuse_if_leaving
 from service.http.errors import PROBLEMS, ApiError, FieldError, translated
 from service.http.keyring import while_let_in
 from service.http.origins import refuse_foreign
-from service.http.turns import Places
+from service.http.places import Places
 from service.wire.stream_messages import StreamError
 
 CLOSE_CODE = 4000  # plus the status of the problem that ends a stream

@@ -9,8 +9,8 @@ from starlette.responses import Response
 
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.observing import Following
-from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid, problems
+from service.http.json_bounds import check_bounds
 from service.http.keyring import caller_of
 from service.http.operations import register
 from service.realtime.conversation import Conversation

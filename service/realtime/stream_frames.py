@@ -15,8 +15,8 @@ from models.lifting.lift import LiftedFrames
 from models.lifting.lift_findings import lift_findings
 from models.settings.times import MAX_TIME
 from models.settings.uncertainty import ARRAYS, Uncertainty, numbers_of, of_uncertainty
-from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation, invalid
+from service.http.json_bounds import check_bounds
 from service.realtime.frames import to_frames
 from service.realtime.rooms import check_known
 from service.settings import Settings

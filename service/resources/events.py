@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from sqlalchemy import select
 
 from service.http.dependencies import refuse_if_leaving
-from service.http.turns import Places
+from service.http.places import Places
 from store import jobs
 from store.database import Store
 from store.jobs import Job

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import orjson
 from pydantic import BaseModel, ValidationError
 
-from service.http.bounds import check_bounds
 from service.http.errors import ApiError, from_validation
+from service.http.json_bounds import check_bounds
 from service.http.uploads import Upload
 from service.wire.arrays import Arrays, Unlisted
 from service.wire.captures import Converted, convert

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from fewview.errors import FormatError
 from fewview.readers.budget import take
-from fewview.readers.names import natural
+from fewview.readers.file_names import natural
 from fewview.readers.sources import ZIP, Source
 
 MAX_UNPACKED = 2**30  # bytes

@@ -8,9 +8,9 @@ import numpy as np
 
 from fewview.capture import Float32, Float64, located
 from fewview.errors import FormatError
+from fewview.readers.file_names import frame_number, natural
 from fewview.readers.headers import Label, plain
 from fewview.readers.large_arrays import blocks, built, taken
-from fewview.readers.names import frame_number, natural
 from fewview.readers.skeletons import SKELETONS
 from fewview.readers.views import Int64, View, bounded
 

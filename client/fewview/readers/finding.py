@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fewview.errors import FormatError
 from fewview.readers.archives import is_archive, unpacked
-from fewview.readers.names import natural
+from fewview.readers.file_names import natural
 from fewview.readers.registry import FORMATS, Format, detect, find
 from fewview.readers.sources import Source, frames_among, frames_in
 from fewview.readers.trials import names_of_paths, of_one_trial

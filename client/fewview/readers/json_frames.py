@@ -12,9 +12,9 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
+from fewview.readers.file_names import frame_number
 from fewview.readers.headers import axis_of
 from fewview.readers.named_points import Point
-from fewview.readers.names import frame_number
 
 FRAMES = ("instance_info", "frames", "results", "predictions", "pose_results", "data", "keypoints")
 PEOPLE = (

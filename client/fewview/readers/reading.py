@@ -13,9 +13,9 @@ from fewview.errors import FormatError
 from fewview.readers.archives import workplace
 from fewview.readers.calibrations import calibrations_at, of_views
 from fewview.readers.combining import cleaned, combined, named
+from fewview.readers.file_names import distinct_parts
 from fewview.readers.finding import AnyPath, paths_at, sources_at
 from fewview.readers.large_arrays import blocks
-from fewview.readers.names import distinct_parts
 from fewview.readers.people import pick
 from fewview.readers.registry import views_of
 from fewview.readers.sides import counted_from, doubts_of_sides, put_right

@@ -26,8 +26,8 @@ from fewview.readers.formats import (
     trc,
     yolo,
 )
-from fewview.readers.hints import unknown
 from fewview.readers.sources import Source
+from fewview.readers.unknown_files import unknown
 from fewview.readers.views import View
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from fewview.errors import FormatError
 from fewview.readers import hdf5
+from fewview.readers.file_names import frame_number, natural
 from fewview.readers.json_frames import is_one_frame, people_of
-from fewview.readers.names import frame_number, natural
 from fewview.readers.text import HEAD, WESTERN, encoding_of, lines_of
 
 MAX_JSON = 2**29  # bytes: parsed it takes several times as much

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fewview.errors import FormatError
-from fewview.readers.names import distinct_parts, natural
+from fewview.readers.file_names import distinct_parts, natural
 
 CAMERAS = (  # the surest words first
     re.compile(

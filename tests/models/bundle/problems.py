@@ -19,7 +19,7 @@ from models.bundle.problem import (
     make_rig,
     make_shape_prior,
 )
-from models.bundle.scene_adjustment import costs_of, normal_equations
+from models.bundle.separate_frames import costs_of, normal_equations
 from models.optics.lenses.projection import Lenses
 
 Float64 = NDArray[np.float64]

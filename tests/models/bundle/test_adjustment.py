@@ -14,7 +14,7 @@ from models.bundle.problem import (
     POSE,
     VIEW,
 )
-from models.bundle.scene_adjustment import adjust_frames, costs_of
+from models.bundle.separate_frames import adjust_frames, costs_of
 from models.bundle.shared_likelihood import likelihood_of_shared
 from models.bundle.structure_covariances import structure_covariances
 from models.numerics.steps import finished

@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 from models.bundle.frame_evidence import log_evidence
 from models.bundle.problem import SIZE_SD, Rig, Scene, Views, make_rig, points_in_cameras
-from models.bundle.scene_adjustment import adjust_frames
+from models.bundle.separate_frames import adjust_frames
 from models.optics.lenses.projection import project
 from tests.models.bundle.problems import FRAMES, POINTS, Float64, make
 

@@ -154,7 +154,7 @@ def test_requests_that_wait_for_the_records_leave_threads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One key changes a record, many times at once, while somebody else writes for long."""
-    monkeypatch.setattr("service.http.turns.LONGEST_WAIT", 1.0)
+    monkeypatch.setattr("service.http.places.LONGEST_WAIT", 1.0)
     with httpx2.Client(base_url=http.base_url, headers=greedy, trust_env=False) as client:
         dataset = make_dataset(client)["id"]
     others = Store(settings)
@@ -259,7 +259,7 @@ def test_readers_that_take_long_leave_a_turn(
             frozen.add(pid)
         return len(frozen) == 2
 
-    monkeypatch.setattr("service.http.turns.LONGEST_WAIT", 1.0)
+    monkeypatch.setattr("service.http.places.LONGEST_WAIT", 1.0)
     with ThreadPoolExecutor(4) as threads:
         asking = [threads.submit(post, greedy) for _ in range(4)]
         try:

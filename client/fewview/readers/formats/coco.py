@@ -10,7 +10,7 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
-from fewview.readers.names import split_frames
+from fewview.readers.file_names import split_frames
 from fewview.readers.sources import Source
 from fewview.readers.views import SEVERAL_SIZES, Edges, View, packed
 

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from fewview.errors import FormatError
+from fewview.readers.file_names import frame_number
 from fewview.readers.json_frames import (
     BARE,
     LOOKED_INTO,
@@ -26,7 +27,6 @@ from fewview.readers.json_frames import (
     size_of,
 )
 from fewview.readers.named_points import side_by_side
-from fewview.readers.names import frame_number
 from fewview.readers.sources import Source
 from fewview.readers.views import Edges, View, packed
 from fewview.readers.vision import is_vision, turned_down

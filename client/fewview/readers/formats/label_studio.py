@@ -16,8 +16,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from fewview.errors import FormatError
+from fewview.readers.file_names import split_frames
 from fewview.readers.named_points import Point, people_among, side_by_side
-from fewview.readers.names import split_frames
 from fewview.readers.sources import Source
 from fewview.readers.views import SEVERAL_SIZES, View, packed, size_in
 

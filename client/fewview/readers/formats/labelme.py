@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from fewview.errors import FormatError
+from fewview.readers.file_names import frame_number
 from fewview.readers.named_points import Point, people_among, side_by_side
-from fewview.readers.names import frame_number
 from fewview.readers.sources import SHAPES, Source
 from fewview.readers.views import SEVERAL_SIZES, View, packed, size_in
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
-from fewview.readers.names import frame_number
+from fewview.readers.file_names import frame_number
 from fewview.readers.sources import Source
 from fewview.readers.views import View, packed
 

@@ -16,9 +16,9 @@ from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.clocks import seconds_in
 from fewview.readers.columns import bounded_columns, row_numbers, views_of_columns
+from fewview.readers.file_names import natural
 from fewview.readers.headers import Columns, Label, columns_of, mapped_columns
 from fewview.readers.large_arrays import blocks, built, rows_of
-from fewview.readers.names import natural
 from fewview.readers.separated import Table, Words, read_columns, table_of
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64, View, bounded

@@ -12,7 +12,7 @@ import numpy as np
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
-from fewview.readers.names import frame_number
+from fewview.readers.file_names import frame_number
 from fewview.readers.skeletons import SKELETONS
 from fewview.readers.sources import MAX_FRAME, Source, check_size, yolo_numbers
 from fewview.readers.views import View, packed, unseen

@@ -51,7 +51,7 @@ class Arranged(NamedTuple):
     kept: Float64 | None = None
 
 
-def search(
+def search_arrangement(
     problem: CalibrationProblem, answers: WeakPerspectiveScene, config: FitConfig
 ) -> Steps[Arranged]:
     """Find static and moving cameras, from the network's answers.

@@ -7,7 +7,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.http.errors import PROBLEMS, ApiError
-from service.http.turns import is_shared, refused, who_asks
+from service.http.places import is_shared, refused, who_asks
 from store.shares import Shares, Who
 
 SMALL_BYTES = 64 * 1024  # what a request takes at least, and what bodies may grow to in the reserve

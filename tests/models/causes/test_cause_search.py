@@ -9,7 +9,7 @@ from models.calibrating.keypoint_rig import geometry_of
 from models.calibrating.problem import CalibrationProblem, problem_of
 from models.capture.synthetic import KEYPOINT_NAMES
 from models.causes.cause import mended
-from models.causes.search import find_causes
+from models.causes.cause_search import find_causes
 from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, make_rig_capture

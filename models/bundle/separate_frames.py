@@ -1,5 +1,7 @@
 """All frames of a scene separately: costs, normal equations and optima, in threads."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,28 +27,29 @@ Float64 = NDArray[np.float64]
 FRAMES_AT_A_TIME = 16  # in one slice of a thread
 
 
+def _in_slices(kernel: Callable[..., None], frames: int, *given: object) -> None:
+    """Call a kernel with the first and last frame of each slice, in threads."""
+    in_slices(frames, FRAMES_AT_A_TIME, lambda part: kernel(part.start, part.stop, *given))
+
+
 def costs_of(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:
     """Minus twice the log posterior of each frame (N,), up to a constant.
 
     Infinite where a point lies behind a camera.
     """
     views, scene, costs = contiguous(views), contiguous(scene), empty_aligned(len(scene.points))
-    in_slices(
-        len(costs),
-        FRAMES_AT_A_TIME,
-        lambda part: _costs(views, rig, prior, scene, part.start, part.stop, costs),
-    )
+    _in_slices(_costs, len(costs), views, rig, prior, scene, costs)
     return costs
 
 
 @compiled
 def _costs(
+    start: int,
+    stop: int,
     views: Views,
     rig: Rig,
     prior: ShapePrior,
     scene: Scene,
-    start: int,
-    stop: int,
     costs: Float64,
 ) -> None:
     for n in range(start, stop):
@@ -70,22 +73,18 @@ def normal_equations(
         empty_aligned(frames, count, 3),
         empty_aligned(frames, columns),
     )
-    in_slices(
-        frames,
-        FRAMES_AT_A_TIME,
-        lambda part: _linearise(views, rig, prior, scene, part.start, part.stop, equations),
-    )
+    _in_slices(_linearise, frames, views, rig, prior, scene, equations)
     return equations
 
 
 @compiled
 def _linearise(
+    start: int,
+    stop: int,
     views: Views,
     rig: Rig,
     prior: ShapePrior,
     scene: Scene,
-    start: int,
-    stop: int,
     out: NormalEquations,
 ) -> None:
     for n in range(start, stop):
@@ -108,24 +107,18 @@ def adjust_frames(
     views = contiguous(views)
     adjusted = Scene(*(array.copy(order="C") for array in scene))
     costs = empty_aligned(len(scene.points))
-    in_slices(
-        len(costs),
-        FRAMES_AT_A_TIME,
-        lambda part: _descend(
-            views, rig, prior, adjusted, part.start, part.stop, iterations, costs
-        ),
-    )
+    _in_slices(_descend, len(costs), views, rig, prior, adjusted, iterations, costs)
     return adjusted, costs
 
 
 @compiled
 def _descend(
+    start: int,
+    stop: int,
     views: Views,
     rig: Rig,
     prior: ShapePrior,
     scene: Scene,
-    start: int,
-    stop: int,
     iterations: int,
     costs: Float64,
 ) -> None:
