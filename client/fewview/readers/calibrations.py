@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fewview.calibration import Camera, as_config, for_views, read_cameras
 from fewview.capture import CameraCalibration
 from fewview.errors import FormatError
+from fewview.readers.views import View
 
 DEPTH = 4  # of folders in folders
 MAX_BYTES = 2**22  # of a file that may be a calibration
@@ -69,6 +70,14 @@ def calibrations_at(paths: Iterable[Path], notes: list[str]) -> FoundCalibration
     listed = ", ".join(f"{path.parent.name}/{path.name}" for path in read)
     notes.append(f"there are several calibrations ({listed}), of which none was taken: leave one")
     return FoundCalibration(mine)
+
+
+def calibrations_within(found: FoundCalibration, views: Sequence[View]) -> FoundCalibration:
+    """Return the calibration beside the files, or else that of all views within them."""
+    within = [replace(view.camera, name=view.name) for view in views if view.camera is not None]
+    if found.cameras or len(within) < len(views):
+        return found
+    return FoundCalibration(found.paths, tuple(within), "the file of the keypoints")
 
 
 def of_views(

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fewview.errors import FormatError
 from fewview.readers.budget import take
 from fewview.readers.views import bounded
@@ -43,13 +45,20 @@ def opened(path: Path) -> Iterator[Any]:
         yield file
 
 
+def text(value: Any) -> str:
+    """Return text as a string, however it is stored; "" of anything else."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value) if isinstance(value, str | np.str_) else ""
+
+
 def values(dataset: Any, what: str) -> Any:
     """Return what a dataset holds, of bounded size.
 
     Raises
     ------
     FormatError
-        If it is no dataset, or too large.
+        If it is no dataset, or too large, or holds references.
     """
     shape = getattr(dataset, "shape", None)
     if shape is None:
@@ -60,6 +69,8 @@ def values(dataset: Any, what: str) -> Any:
     size = math.prod(shape) * dataset.dtype.itemsize
     if size > MAX_BYTES:
         raise FormatError(f"{_name(dataset)} is too large; cut it in parts", place=what)
+    if _refers(dataset.id.get_type()):
+        raise FormatError(f"{_name(dataset)} holds references, which are not followed", place=what)
     take(size, what)
     return dataset[()]
 
@@ -73,12 +84,16 @@ def _check(file: Any, what: str) -> None:
     """Walk all links without following any that leads out of its group."""
     import h5py  # noqa: PLC0415 (heavy)
 
+    # NWB links groups of a file to each other. Such links and references lead to nothing but what
+    # is in the file, whose links to others are refused wherever they are.
+    inner = text(file.attrs.get("neurodata_type", "")) == "NWBFile"
     groups = [(file, 0)]
     seen: set[Any] = set()
     count = 0
     while groups:
         group, depth = groups.pop()
-        _check_attributes(group, what)
+        if not inner:
+            _check_attributes(group, what)
         for name in group:
             count += 1
             path = f"{_name(group)}/{name}".lstrip("/")
@@ -88,11 +103,13 @@ def _check(file: Any, what: str) -> None:
                     f"{MAX_DEPTH} groups within each other",
                     place=what,
                 )
-            if not _is_hard(group, name):
+            if inner and _is_soft(group, name):
+                continue
+            if not is_hard(group, name):
                 raise FormatError(f"{path} is a link to a name, {OTHER_FILES}", place=what)
             item = group[name]
             if isinstance(item, h5py.Dataset):
-                _check_dataset(item, what)
+                _check_dataset(item, what, may_refer=inner)
             elif isinstance(item, h5py.Group):
                 at = h5py.h5o.get_info(item.id).addr
                 if at not in seen:  # hard links can make circles
@@ -102,7 +119,8 @@ def _check(file: Any, what: str) -> None:
                 raise FormatError(f"{path} is no group and no dataset", place=what)
 
 
-def _is_hard(group: Any, name: str) -> bool:
+def is_hard(group: Any, name: str) -> bool:
+    """Whether something is in a group itself, and no link to elsewhere."""
     import h5py  # noqa: PLC0415 (heavy)
 
     try:
@@ -111,7 +129,16 @@ def _is_hard(group: Any, name: str) -> bool:
         return False
 
 
-def _check_dataset(dataset: Any, what: str) -> None:
+def _is_soft(group: Any, name: str) -> bool:
+    import h5py  # noqa: PLC0415 (heavy)
+
+    try:
+        return isinstance(group.get(name, getlink=True), h5py.SoftLink)
+    except TypeError:
+        return False
+
+
+def _check_dataset(dataset: Any, what: str, *, may_refer: bool) -> None:
     # Before its shape is asked for, which opens the files of a virtual dataset.
     if dataset.is_virtual:
         raise FormatError(f"{_name(dataset)} is a virtual dataset, {OTHER_FILES}", place=what)
@@ -125,6 +152,8 @@ def _check_dataset(dataset: Any, what: str) -> None:
             "gzip",
             place=what,
         )
+    if may_refer:  # `values` reads none
+        return
     if _refers(dataset.id.get_type()):
         raise FormatError(f"{_name(dataset)} holds references, which are not followed", place=what)
     _check_attributes(dataset, what)

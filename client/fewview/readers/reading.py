@@ -11,7 +11,7 @@ import numpy as np
 from fewview.capture import Capture, Float32, located
 from fewview.errors import FormatError
 from fewview.readers.archives import workplace
-from fewview.readers.calibrations import calibrations_at, of_views
+from fewview.readers.calibrations import calibrations_at, calibrations_within, of_views
 from fewview.readers.combining import cleaned, combined, named
 from fewview.readers.file_names import distinct_parts
 from fewview.readers.finding import AnyPath, paths_at, sources_at
@@ -160,6 +160,7 @@ def read_with(
     views = with_views_in_names(views, options.words_of_views)
     names = distinct_parts([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
+    beside = calibrations_within(beside, views)
     wanted = options.named("cameras", names)
     known, calibration = of_views(beside, names, wanted, notes)
     views = views if wanted is None else [views[index] for index in wanted]

@@ -130,7 +130,7 @@ def _of_hdf5(names: set[str]) -> str:
     if names == {"tracks"}:
         return f"HDF5 of SLEAP-Anipose: it {_3D}"
     shown = _shown(sorted(names))
-    return f"HDF5 that holds {shown}, neither of DeepLabCut, Anipose nor SLEAP. {_DO}"
+    return f"HDF5 that holds {shown}, not of DeepLabCut, Anipose, SLEAP, NWB or movement. {_DO}"
 
 
 def _shown(names: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fewview.calibration import Camera
 from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.large_arrays import taken
@@ -43,6 +44,8 @@ class View:
         Whether (0, 0) may be a detection; otherwise it means none.
     mirrored
         Whether the file shows that this is a mirror's image.
+    camera
+        That of a calibration in the same file.
     notes
         Sentences on how the file was read and what was left out.
     """
@@ -61,6 +64,7 @@ class View:
     skeletons: tuple[str, ...] = ()
     pixels_from_zero: bool = False
     mirrored: bool = False
+    camera: Camera | None = None
     notes: tuple[str, ...] = ()
 
 

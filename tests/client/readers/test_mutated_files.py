@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import fewview
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from fewview.errors import FormatError
 
 from .mutations import mutated
+from .test_hdf5_of_others import WALKS, netcdf, nwb
 from .test_named_joints import VISION, joints, label_studio_task
 
 COUNT = int(os.environ.get("FEWVIEW_TEST_MUTATIONS", "60"))
@@ -38,7 +40,21 @@ def apple_vision() -> bytes:
     return json.dumps(frames).encode()
 
 
-@pytest.mark.parametrize("written", [label_studio, labelme, named_joints, apple_vision])
+def nwb_file() -> bytes:
+    with TemporaryDirectory() as folder:
+        return nwb(Path(folder) / "a.nwb").read_bytes()
+
+
+def netcdf_file() -> bytes:
+    position, confidence = np.swapaxes(WALKS[0, ..., :2], 1, 2)[..., None], WALKS[0, ..., 2:]
+    with TemporaryDirectory() as folder:
+        return netcdf(Path(folder) / "a.nc", position, confidence).read_bytes()
+
+
+WRITERS = (label_studio, labelme, named_joints, apple_vision, nwb_file, netcdf_file)
+
+
+@pytest.mark.parametrize("written", WRITERS)
 def test_a_file_that_is_nearly_right(tmp_path: Path, written: Callable[[], bytes]) -> None:
     path = tmp_path / "cam1.file"
     path.write_bytes(written())
