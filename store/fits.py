@@ -271,8 +271,8 @@ def recover(
 def lose(session: Session, fit: FitRecord, now: float, code: str, why: str) -> None:
     """Queue a fit again whose attempt died or met an error; cancel it if that was asked.
 
-    One that has had too many such attempts, none of which got further than the one before, fails,
-    with ``code`` and with ``why`` in its message.
+    A fit fails, with ``code`` and ``why``, after `MAX_CRASHES` such attempts in a row without
+    progress.
     """
     step = (fit.progress or {}).get("step", 0)
     got_further = fit.crashed_at_step is not None and step > fit.crashed_at_step

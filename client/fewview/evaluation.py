@@ -113,7 +113,7 @@ def _measure(x: Float64, y: Float64, known: Bool) -> tuple[Float64, Float64]:
 
 
 def _aligned(x: Float64, y: Float64, known: Bool, *, by_size: bool) -> Float64:
-    """Bring points x (N, P, 3) onto y (N, P, 3), each N alone, by a similarity, not mirrored."""
+    """Align each frame of x (N, P, 3) to y (N, P, 3) by a similarity without reflection."""
     seen = known[..., None]
     count = np.maximum(seen.sum(1, keepdims=True), 1)
     mean_x, mean_y = (np.where(seen, z, 0).sum(1, keepdims=True) / count for z in (x, y))

@@ -1,4 +1,4 @@
-"""How far the evidence of trials is believed.
+"""Bootstrap weights for the evidence of lens trials, whose frames are correlated.
 
 Errors of frames are correlated, by the removal of noise and by all that a model leaves out. So the
 evidence is less than the sum over frames, and other frames might have preferred another trial.

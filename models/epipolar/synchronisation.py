@@ -319,9 +319,9 @@ def _suspect(offsets: Float64, weights: Float64) -> int | None:
 def _decide(frames: Float64, offsets: Float64, sds: Float64, blocks: int) -> Timing:
     """Divide views into late, doubtful and in step; set the offsets of the last to 0.
 
-    Standard deviations from few blocks are themselves uncertain. Student's t with one degree of
-    freedom less than blocks has as much beyond 4 blocks / (blocks - 3) of its standard deviations
-    as a Gaussian has beyond 4 (within 3 % for 6 to 16 blocks).
+    Standard deviations from few blocks are themselves uncertain. With B blocks, a t with B - 1
+    degrees of freedom has at 4 B / (B - 3) sd the tail that a Gaussian has at 4 (within 3 % for 6
+    to 16 blocks).
     """
     largest = np.abs(offsets).max(0)
     enough = LATE_SDS * blocks / (blocks - 3)

@@ -138,7 +138,7 @@ def check_entries_per_view(views: int, config: FitConfig, image_sizes: ImageSize
 def among_known(config: FitConfig, known: Bool) -> FitConfig:
     """Return a configuration with keypoint indices that count the known keypoints alone.
 
-    Raises ValueError if it names one twice, one that there is not, or one that has no place.
+    Raises ValueError if a named keypoint is repeated, is unknown, or has no place.
     """
     place = np.cumsum(known) - 1  # of a keypoint among the known
     length, corners = config.known_length, config.corners

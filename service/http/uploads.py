@@ -75,7 +75,7 @@ class Upload:
     files
         Those that a form calls `files`, and `folders`, if any; `data` are those of the first.
     max_decoded_bytes
-        What its JSON may take as lists, about.
+        Approximate memory limit of the decoded JSON, bytes.
     max_array_bytes
         What each array of JSON may take, and all of an npz together.
     """

@@ -121,7 +121,7 @@ def _size(points: Float64) -> float:
 
 
 def _rods(begin: Float64, end: Float64) -> dict[str, Float64]:
-    """Return the place (n, 3), (n, 4) x, y, z, w and (n, 3) of a rod of length 1 along y.
+    """Return translation (n, 3), quaternion xyzw (n, 4) and scale (n, 3) of a unit rod along y.
 
     Quaternions keep to one half of the sphere from frame to frame, so none turns the long way.
     """

@@ -29,7 +29,7 @@ const MOST_OF_ALL = 2000; // that are fetched to be chosen from, or sorted
 export const listFits: Lister<Fit> = (query) => listed("fits", query);
 export const listDatasets: Lister<Dataset> = (query) => listed("datasets", query);
 export const listModels: Lister<ModelSummary> = (query) => listed("models", query);
-export const listAliases = () => askJson<Page<Alias>>(`aliases?limit=${MOST_AT_ONCE}`);
+export const listAliases: Lister<Alias> = (query) => listed("aliases", query);
 export const listStreams = () => askJson<Page<LiftStream>>("lift/streams");
 export const listQueues = () => askJson<Page<WaitingJobs>>("queues");
 

@@ -1,7 +1,7 @@
 /** What was understood of a capture, and the fit that can be made of it. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listFits } from "../api/lists.ts";
+import { listAll, listFits } from "../api/lists.ts";
 import { createFit, getDataset, type Dataset, type Fit } from "../api/resources.ts";
 import { remoteCapture } from "../data/remote.ts";
 import { captured } from "../fits/fits_screen.tsx";
@@ -26,10 +26,7 @@ export function DatasetScreen({ id }: { id: string }) {
   const [frame, setFrame] = useState<Drawn | null>(null);
   const [fits, setFits] = useState<Fit[]>([]);
   useEffect(() => {
-    listFits({ dataset_id: id, status: "succeeded" }).then(
-      (page) => setFits(page.items),
-      () => {}, // the words do without
-    );
+    listAll(listFits, { dataset_id: id, status: "succeeded" }).then(setFits, () => {}); // the words do without
     getDataset(id).then(
       (found) => {
         setDataset(found);

@@ -1,7 +1,7 @@
 /** What becomes of others when something stored is deleted. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listFits, listModels, listThese } from "../api/lists.ts";
+import { listAll, listFits, listModels, listThese } from "../api/lists.ts";
 import type { Kind } from "../api/resources.ts";
 import { count } from "../parts/format.ts";
 
@@ -39,8 +39,8 @@ async function consequencesOf(kind: Kind, ids: string[]): Promise<string> {
     return `The results of ${count(fits.length, "fit")} can no longer be played, for want of the cameras; their structures can still be saved.`;
   }
   if (ids.length > MOST_ASKED) return GENERAL.datasets;
-  const pages = await Promise.all(ids.map((id) => listFits({ dataset_id: id, status: "succeeded", limit: 200 })));
-  const fits = pages.flatMap((page) => page.items).length;
+  const found = await Promise.all(ids.map((id) => listAll(listFits, { dataset_id: id, status: "succeeded" })));
+  const fits = found.flat().length;
   if (fits === 0) return "No result is of it.";
   return `The results of ${count(fits, "fit")} can no longer be played, for want of what the cameras saw; structures and models stay.`;
 }

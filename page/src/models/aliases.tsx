@@ -1,7 +1,7 @@
 /** The aliases of a model: shown, added, moved here from another model, deleted. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listAliases } from "../api/lists.ts";
+import { listAliases, listAll } from "../api/lists.ts";
 import { deleteAlias, setAlias, type Alias, type Model } from "../api/resources.ts";
 import { Alert } from "../parts/alert.tsx";
 import { moment } from "../parts/format.ts";
@@ -13,11 +13,7 @@ export function Aliases({ model }: { model: Model }) {
   const [all, setAll] = useState<Alias[]>([]);
   const [typed, setTyped] = useState("");
   const [trouble, setTrouble] = useState<string | null>(null);
-  const look = () =>
-    listAliases().then(
-      (page) => setAll(page.items),
-      (error: Error) => setTrouble(error.message),
-    );
+  const look = () => listAll(listAliases).then(setAll, (error: Error) => setTrouble(error.message));
   useEffect(() => void look(), [model.id]);
   const change = async (work: Promise<unknown>) => {
     setTrouble(null);

@@ -1,7 +1,7 @@
 /** One model: its figures, where it comes from, what programs call it, and how to take it away. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listFits } from "../api/lists.ts";
+import { listAll, listFits } from "../api/lists.ts";
 import { getCameras, getFit, getModel, type Fit, type Model, type ModelCameras } from "../api/resources.ts";
 import { Tags } from "../lists/tags.tsx";
 import { Curve } from "../fits/curve.tsx";
@@ -90,10 +90,7 @@ function Lineage({ model }: { model: Model }) {
   const [children, setChildren] = useState<Fit[]>([]);
   useEffect(() => {
     if (model.fit_id) getFit(model.fit_id).then(setFit, () => {}); // it was deleted
-    listFits({ from_model: model.id }).then(
-      (page) => setChildren(page.items),
-      () => {},
-    );
+    listAll(listFits, { from_model: model.id }).then(setChildren, () => {});
   }, [model.id, model.fit_id]);
   return (
     <dl class="figures">

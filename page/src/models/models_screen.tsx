@@ -1,7 +1,7 @@
 /** All models, the newest first, with their aliases and figures. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listAliases, listModels } from "../api/lists.ts";
+import { listAliases, listAll, listModels } from "../api/lists.ts";
 import type { Alias, ModelSummary } from "../api/resources.ts";
 import { ListScreen, NewCapture, Warnings } from "../lists/list_screen.tsx";
 import type { Column } from "../lists/table.tsx";
@@ -31,8 +31,8 @@ export function ModelsScreen() {
   const list = useList(listModels);
   const [aliases, setAliases] = useState<Alias[]>([]);
   useEffect(() => {
-    listAliases().then(
-      (page) => setAliases(page.items),
+    listAll(listAliases).then(
+      setAliases,
       () => {}, // the list does without
     );
   }, []);

@@ -1,7 +1,7 @@
 /** What is laid over the structure, pale: the ground truth, or what another fit made of the dataset. */
 
 import { useEffect, useState } from "preact/hooks";
-import { listFits } from "../api/lists.ts";
+import { listAll, listFits } from "../api/lists.ts";
 import { getFit, getModel, type Fit, type Model } from "../api/resources.ts";
 import { loadPoints } from "../data/loading.ts";
 import { aligned } from "../science/aligning.ts";
@@ -23,8 +23,8 @@ export function OverlayChoice() {
   const [chosen, setChosen] = useState(NONE);
   const [trouble, setTrouble] = useState(false);
   useEffect(() => {
-    listFits({ dataset_id: fit.dataset_id, status: "succeeded" }).then(
-      (page) => setOthers(page.items.filter((other) => other.id !== fit.id && other.model_id)),
+    listAll(listFits, { dataset_id: fit.dataset_id, status: "succeeded" }).then(
+      (found) => setOthers(found.filter((other) => other.id !== fit.id && other.model_id)),
       () => setOthers([]),
     );
   }, [fit.id, fit.dataset_id]);
