@@ -1,10 +1,12 @@
 """What is written to files: points in time, with their names and what joins them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fewview.calibration.camera import Camera
 
 Float64 = NDArray[np.float64]
 
@@ -66,6 +68,9 @@ class Animation:
     points_sd
         (N, P) how far points may be off, in their unit: `points3d_sd` of a lift. NaN where it is
         not known, and of missing points; None if it is known of none.
+    cameras
+        Those that saw the points, in their frame of reference; for formats that have a place for
+        them.
 
     Raises
     ------
@@ -81,6 +86,7 @@ class Animation:
     edges: tuple[tuple[int, int], ...] = ()
     numbers: NDArray[np.int64] | None = None
     points_sd: Float64 | None = None
+    cameras: tuple[Camera, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         """Take any sequences, and check them."""

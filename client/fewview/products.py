@@ -5,6 +5,7 @@ import numpy as np
 from fewview.animation import Animation, Unit
 from fewview.api.forms import Cameras
 from fewview.api.lifting import Lift
+from fewview.calibration import Camera
 from fewview.capture import Capture
 from fewview.room import Room, to_room
 
@@ -58,4 +59,14 @@ def animation_of(
         edges=capture.edges or (),
         numbers=capture.numbers,
         points_sd=sds,
+        cameras=_cameras_of(lift, room, capture),
     )
+
+
+def _cameras_of(lift: Lift, room: Room | None, capture: Capture) -> tuple[Camera, ...]:
+    """Return the cameras of the room; none if one of them is of no kind that files describe."""
+    try:
+        found = [] if room is None else room.cameras(lift, capture.view_names, capture.image_sizes)
+    except ValueError:
+        found = []
+    return tuple(found)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from fewview.animation import Animation
+from fewview.readers.vision import usual as of_vision
 
 _WORDS = re.compile(r"[A-Z]?[a-z]+\d*|[A-Z]+(?![a-z])\d*|\d+")
 HIPS = ("hips", "pelvis", "mid_hip", "hip", "root")
@@ -93,6 +94,6 @@ def _parents(name: str) -> Iterator[str]:
 
 def _usual(name: str) -> str:
     """Return a name such as ``LBigToe`` or ``Left Big Toe`` as ``left_big_toe``."""
-    words: Sequence[str] = _WORDS.findall(name)
+    words: Sequence[str] = _WORDS.findall(of_vision(name))
     words = [{"L": "left", "R": "right"}.get(word, word.lower()) for word in words]
     return "_".join(words)

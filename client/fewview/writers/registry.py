@@ -30,6 +30,10 @@ FORMATS = (
     Format("safetensors", ".safetensors", "safetensors", "arrays for any language"),
     Format("bvh", ".bvh", "bvh", "skeleton for animation, where edges form a tree"),
     Format("glb", ".glb", "glb", "glTF 2.0: animated points and sticks, for viewers and Blender"),
+    Format("nwb", ".nwb", "nwb", "Neurodata Without Borders with ndx-pose (needs pynwb)"),
+    Format("movement", ".nc", "movement", "netCDF for movement and xarray"),
+    Format("deeplabcut", ".dlc3d.h5", "deeplabcut", "DeepLabCut's table of points in 3D"),
+    Format("sleap", ".analysis.h5", "sleap", "SLEAP's analysis file, of points in 3D"),
     Format("parquet", ".parquet", "parquet", "table with a row for each point (needs pyarrow)"),
 )
 

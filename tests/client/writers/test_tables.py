@@ -138,6 +138,8 @@ def test_a_format_can_be_named_whatever_the_file_is_called(
     name = getattr(known, "name", "")
     if name == "parquet":
         pytest.importorskip("pyarrow", reason="pyarrow is large, and an extra")
+    if name == "nwb":
+        pytest.importorskip("ndx_pose", reason="ndx-pose is an extra")
     path = write(tmp_path / "motion", animation, format=name)
     assert path.stat().st_size > 100
     assert [file.name for file in tmp_path.iterdir()] == ["motion"]

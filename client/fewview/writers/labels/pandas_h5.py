@@ -17,10 +17,13 @@ def write_frame(
     file: Path,
     levels: Sequence[str],
     columns: Sequence[tuple[str, ...]],
-    rows: Sequence[tuple[str, ...]],
+    rows: Sequence[tuple[str, ...]] | NDArray[np.int64],
     values: NDArray[np.float64],
 ) -> None:
-    """Write values (N, C); parameters are those of :func:`.tables.write_table`."""
+    """Write values (N, C); parameters are those of :func:`.tables.write_table`.
+
+    `rows` may also be N numbers.
+    """
     import h5py  # noqa: PLC0415 (heavy)
 
     with h5py.File(file, "w") as whole:
@@ -38,7 +41,11 @@ def write_frame(
             nblocks=1,
         )
         _write_axis(group, "axis0", columns, levels)
-        _write_axis(group, "axis1", rows, [None] * len(rows[0]))
+        if isinstance(rows, np.ndarray):
+            _write_attributes(group, {"axis1_variety": "regular"})
+            _write_array(group, "axis1", rows, kind="integer", name="N.")
+        else:
+            _write_axis(group, "axis1", rows, [None] * len(rows[0]))
         _write_axis(group, "block0_items", columns, levels)
         _write_array(group, "block0_values", values, transposed=1)
 
