@@ -73,8 +73,12 @@ def _grow(
             )
             if (of_view.weights > 0).sum() < COMMON:
                 continue
-            for candidate in _candidates(graph, rig, placed, view):
-                camera = _place(candidate, points, of_view)
+            turns, focals = _candidates(graph, rig, placed, view)
+            shifts = _placed(turns, focals, points, of_view)
+            for turn, focal, shift in zip(turns, focals, shifts, strict=True):
+                camera = StaticCameras(
+                    np.log(focal)[None], np.zeros((1, 2)), np.zeros((1, 2)), turn[None], shift[None]
+                )
                 cost = costs_of(camera, points, of_view, np.array([noise])).sum()
                 cost /= of_view.weights.sum()
                 if best is None or cost < best[0]:
@@ -93,54 +97,49 @@ def _grow(
 
 def _candidates(
     graph: ViewGraph, rig: StaticCameras, placed: list[int], view: int
-) -> list[StaticCameras]:
-    """Return rotation and focal length of a view from each solution of its pairs; K = 1."""
-    candidates = []
+) -> tuple[Float64, Float64]:
+    """Return rotations (C, 3, 3) and focal lengths (C,) of a view from solutions of its pairs."""
+    turns, focals = [np.empty((0, 3, 3))], [np.empty(0)]
     for other in placed:
         first = other < view
         poses = graph.get((other, view) if first else (view, other))
         if poses is None:
             continue
-        for s in range(len(poses.costs)):
-            turn = poses.rotations[s] if first else poses.rotations[s].T
-            focal = poses.focals[s, 1 if first else 0]
-            candidates.append(
-                StaticCameras(
-                    np.log(focal)[None],
-                    np.zeros((1, 2)),
-                    np.zeros((1, 2)),
-                    (turn @ rig.rotations[other])[None],
-                    np.zeros((1, 3)),
-                )
-            )
-    return candidates
+        turn = poses.rotations if first else poses.rotations.mT
+        turns.append(turn @ rig.rotations[other])
+        focals.append(poses.focals[:, 1 if first else 0])
+    return np.concatenate(turns), np.concatenate(focals)
 
 
-def _place(camera: StaticCameras, points: Float64, seen: SeenPoints) -> StaticCameras:
-    """Find the translation of a camera of known rotation: robust least squares, linear in t."""
-    flat = seen.images[0] / np.exp(camera.log_focals[0])  # (2, M)
-    turned = camera.rotations[0] @ points
+def _placed(rotations: Float64, focals: Float64, points: Float64, seen: SeenPoints) -> Float64:
+    """Find translations (C, 3) of a camera, for each of C rotations and focal lengths.
+
+    Robust least squares, linear in the translation.
+    """
+    there = seen.weights[0] > 0
+    flat = seen.images[0][:, there] / focals[:, None, None]  # (C, 2, M)
+    turned = rotations @ points[:, there]  # (C, 3, M)
     # u (z + t_z) = (x + t_x): two equations of a point.
-    weights = seen.weights[0] > 0
-    robust = weights.astype(float)
-    translation = np.zeros(3)
-    right = flat * turned[2] - turned[:2]  # = t_xy - u t_z
+    right = flat * turned[:, 2:] - turned[:, :2]  # = t_xy - u t_z
+    squares, products = np.square(flat).sum(1), (flat * right).sum(1)  # (C, M)
+    robust = np.ones_like(squares)
+    normal, translations = np.zeros((len(focals), 3, 3)), np.zeros((len(focals), 3))
     for _ in range(ROUNDS):
-        total = robust.sum()
-        mixed = -(robust * flat).sum(1)
-        normal = np.array(
-            [
-                [total, 0, mixed[0]],
-                [0, total, mixed[1]],
-                [mixed[0], mixed[1], (robust * np.square(flat).sum(0)).sum()],
-            ]
+        total = robust.sum(1)
+        mixed = -(robust[:, None] * flat).sum(2)
+        normal[:, 0, 0] = normal[:, 1, 1] = total
+        normal[:, :2, 2] = normal[:, 2, :2] = mixed
+        normal[:, 2, 2] = (robust * squares).sum(1)
+        target = np.append(
+            (robust[:, None] * right).sum(2), -(robust * products).sum(1)[:, None], 1
         )
-        target = np.append((robust * right).sum(1), -(robust * (flat * right).sum(0)).sum())
-        translation = np.linalg.solve(normal + 1e-9 * total * np.eye(3), target)
-        residuals = translation[:2, None] - flat * translation[2] - right
-        depths = (turned[2] + translation[2]).clip(1e-3 * np.abs(translation[2]) + 1e-9)
-        distances = np.linalg.norm(residuals, axis=0) / depths
-        scale = max(float(np.median(distances[weights])), 1e-9)
-        robust = weights / (1 + np.square(distances / scale)) / np.square(depths)
-        robust /= max(robust.max(), 1e-30)
-    return camera._replace(translations=translation[None])
+        ridge = 1e-9 * total[:, None, None] * np.eye(3)
+        translations = np.linalg.solve(normal + ridge, target[..., None])[..., 0]
+        away = translations[:, 2:]
+        residuals = translations[:, :2, None] - flat * away[..., None] - right
+        depths = np.maximum(turned[:, 2] + away, 1e-3 * np.abs(away) + 1e-9)
+        distances = np.sqrt(np.square(residuals).sum(1)) / depths
+        scale = np.maximum(np.median(distances, 1), 1e-9)[:, None]
+        robust = 1 / (1 + np.square(distances / scale)) / np.square(depths)
+        robust /= robust.max(1, keepdims=True).clip(1e-30)
+    return translations

@@ -30,7 +30,7 @@ FOCAL_FACTORS = (
     (1.4, 0.7),
 )
 SAMPLES = 100  # for each of these
-SCORED = 250  # correspondences that judge a hypothesis
+FIRST_SCORED, SCORED = 60, 250  # correspondences that judge all hypotheses, and then the likely
 REFINED = 1000  # correspondences that refine one
 STARTS = 8  # hypotheses that are refined
 ITERATIONS = 12
@@ -156,10 +156,12 @@ def _hypotheses(
         matrices.append(found)
         logs.append(np.tile(np.log((f, g)), (len(found), 1)))
     essentials, log_focals = np.concatenate(matrices), np.concatenate(logs)
-    distances = np.abs(sampson_distances(_in_sides(essentials, log_focals), x[judges], y[judges]))
-    scale = max(NORMAL * float(np.median(distances, 1).min()), LEAST_SCALE)
-    costs = np.log1p(np.square(distances / scale) / FREEDOM).mean(1)
-    best = np.argsort(costs, kind="stable")[: 10 * STARTS]
+    fundamental = _in_sides(essentials, log_focals)
+    best = np.arange(len(fundamental))
+    for count, most in ((FIRST_SCORED, 50 * STARTS), (SCORED, 10 * STARTS)):
+        some = judges[:count]
+        costs = _robust_costs(fundamental[best], x[some], y[some])
+        best = best[np.argsort(costs, kind="stable")[:most]]
     parameters = _in_front(essentials[best], log_focals[best], x[judges], y[judges])
     rotations = parameters[:, :9].reshape(-1, 3, 3)
     kept: list[int] = []
@@ -171,6 +173,13 @@ def _hypotheses(
         ):
             kept.append(h)
     return parameters[kept]
+
+
+def _robust_costs(fundamental: Float64, x: Float64, y: Float64) -> Float64:
+    """Return robust costs (H,) of hypotheses (H, 3, 3), under the noise of the best of them."""
+    distances = np.abs(sampson_distances(fundamental, x, y))
+    scale = max(NORMAL * float(np.median(distances, 1).min()), LEAST_SCALE)
+    return np.asarray(np.log1p(np.square(distances / scale) / FREEDOM).mean(1))
 
 
 def _in_sides(essentials: Float64, log_focals: Float64) -> Float64:

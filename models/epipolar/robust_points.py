@@ -1,8 +1,8 @@
 """Triangulation under Student's t: some rays of a point may be wrong.
 
-Every pair of rays and all rays together give a start for each point; the most likely one is
-improved by Gauss-Newton steps (Hartley & Zisserman, *Multiple View Geometry*, ch. 12, with the
-reweighting of Triggs et al., *Bundle adjustment: a modern synthesis*, 1999).
+All rays together give a start for each point, and every pair of rays where one is far from it. The
+most likely one is improved by Gauss-Newton steps (Hartley & Zisserman, *Multiple View Geometry*,
+ch. 12, with the reweighting of Triggs et al., *Bundle adjustment: a modern synthesis*, 1999).
 """
 
 from itertools import combinations
@@ -18,19 +18,27 @@ from models.epipolar.static_cameras import (
     StaticCameras,
     differentiate_image,
     distance_in,
+    distances_of,
     image_of,
     rays_of,
     sight_of,
 )
 from models.numerics.compiled import compiled
-from models.numerics.matrices import cholesky, cholesky_solve, fill
+from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
+from models.numerics.sampling import evenly_spread
 
 Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 
 ITERATIONS = 8
+AGREEING = (
+    3.0  # scales of the noise: where all rays of a point are nearer, no two give a better one
+)
+MOST_PAIRS = 15  # of views: one of them has good rays, and the time does not grow with the square
 PARALLEL = 1e-8  # squared sine of the angle below which two rays count as parallel
 LEAST_ANGLE = 1e-4  # radians between a ray and a point, below which all rays count alike
 POINT_DAMPING = 1e-4
+TINY_RAYS = 1e-9  # of a point's curvature: what keeps parallel rays solvable
 TINY = 1e-12  # of a point's curvature: what keeps parallel rays solvable
 SETTLED = 1e-3  # nats of all points together: a step of all that gains less is the last
 POINT_STEPS = 1  # of each point by itself, after a step of all
@@ -44,12 +52,32 @@ def robust_points(
     `noise` (K,) is the scale of Student's t in sides of the image, `start` (3, M) another guess.
     """
     points = triangulate_points(rig, seen)
-    costs = costs_of(rig, points, seen, noise)
-    for guess in [*([] if start is None else [start]), *_of_pairs(rig, seen)]:
-        tried = costs_of(rig, guess, seen, noise)
-        better = np.isfinite(guess).all(0) & (tried < costs)
-        points, costs = np.where(better, guess, points), np.where(better, tried, costs)
+    if start is not None:
+        better = np.isfinite(start).all(0) & (
+            costs_of(rig, start, seen, noise) < costs_of(rig, points, seen, noise)
+        )
+        points = np.where(better, start, points)
+    distances = distances_of(rig, points, seen)
+    far = (distances > AGREEING * noise[:, None]) & (seen.weights > 0)
+    doubtful: Bool = np.any(far, axis=0)
+    points[:, doubtful] = _likeliest(rig, points, seen, noise, doubtful)
     return settle_points(rig, points, seen, noise, steps=ITERATIONS)[0]
+
+
+def _likeliest(
+    rig: StaticCameras, points: Float64, seen: SeenPoints, noise: Float64, some: Bool
+) -> Float64:
+    """Return the likeliest of the points `some` (M,) and of those that any two rays give."""
+    part = SeenPoints(*map(np.ascontiguousarray, (seen.images[..., some], seen.weights[:, some])))
+    sight = sight_of(rig, points, seen)  # depths are usual among all points
+    best, costs = points[:, some], np.full(int(some.sum()), np.inf)
+    tried = np.empty(len(costs))
+    for guess in (best, *_of_pairs(rig, part)):
+        shown = np.ascontiguousarray(guess)
+        _write_costs(Sight(sight.cameras, sight.depths, shown, *part), noise, tried)
+        better = np.isfinite(guess).all(0) & (tried < costs)
+        best, costs = np.where(better, guess, best), np.where(better, tried, costs)
+    return best
 
 
 def robust_structures(
@@ -72,7 +100,7 @@ def robust_structures(
 
 
 def _of_pairs(rig: StaticCameras, seen: SeenPoints) -> list[Float64]:
-    """Points (3, M) midway between the rays of two views, for every two; NaN where there are not.
+    """Points (3, M) midway between the rays of two views, for many pairs; NaN where there are not.
 
     With two views all rays are these two, and the list is empty.
     """
@@ -82,7 +110,8 @@ def _of_pairs(rig: StaticCameras, seen: SeenPoints) -> list[Float64]:
     rays = rays_of(rig, seen.images)  # (K, 3, M)
     centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
     starts = []
-    for j, k in combinations(range(views), 2):
+    pairs = list(combinations(range(views), 2))
+    for j, k in (pairs[place] for place in evenly_spread(len(pairs), MOST_PAIRS)):
         both = (seen.weights[j] > 0) & (seen.weights[k] > 0)
         baseline = (centres[k] - centres[j])[:, None]
         cosine = (rays[j] * rays[k]).sum(0)
@@ -98,27 +127,46 @@ def _of_pairs(rig: StaticCameras, seen: SeenPoints) -> list[Float64]:
 
 def triangulate_points(rig: StaticCameras, seen: SeenPoints, *, rounds: int = 4) -> Float64:
     """Return the points (3, M) nearest to their rays; distant rays lose weight step by step."""
-    rays = rays_of(rig, seen.images)  # (K, 3, M) in the rig's frame
-    across = np.eye(3)[None, :, :, None] - rays[:, :, None] * rays[:, None]  # (K, 3, 3, M)
+    rays = np.ascontiguousarray(rays_of(rig, seen.images))  # (K, 3, M) in the rig's frame
     centres = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
-    anchors = np.einsum("kijm,kj->kim", across, centres)
-    weights = seen.weights.copy()
-    several = seen.weights.astype(bool).sum(0) > 2
-    points = np.zeros((3, seen.weights.shape[1]))
+    weights, there = seen.weights.copy(), seen.weights > 0
+    judged = there & (there.sum(0) > 2)
+    points, angles = np.empty((3, weights.shape[1])), np.empty(weights.shape)
     for _ in range(rounds):
-        normal = np.einsum("km,kijm->mij", weights, across, optimize=True)
-        normal += 1e-9 * np.eye(3) * (1 + np.trace(normal, axis1=1, axis2=2))[:, None, None]
-        target = np.einsum("km,kim->mi", weights, anchors)
-        points = np.linalg.solve(normal, target[..., None])[..., 0].T
-        offsets = points[None] - centres[..., None]
-        distances = np.linalg.norm(np.einsum("kijm,kjm->kim", across, offsets), axis=1)
-        angles = distances / np.linalg.norm(offsets, axis=1).clip(1e-9)
-        there = seen.weights > 0
-        if not (there & several).any():
+        _meet(rays, centres, weights, points, angles)
+        if not judged.any():
             break
-        scale = max(float(np.median(angles[there & several])), LEAST_ANGLE)
+        scale = max(float(np.median(angles[judged])), LEAST_ANGLE)
         weights = seen.weights / (1 + np.square(angles / scale) / FREEDOM)
     return points
+
+
+@compiled
+def _meet(rays: Float64, centres: Float64, weights: Float64, points: Float64, off: Float64) -> None:
+    """Write the points (3, M) nearest to weighted rays, and angles (K, M) of rays off them."""
+    views, count = weights.shape
+    normal, right, whole = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for m in range(count):
+        fill(normal, 0.0)
+        fill(right, 0.0)
+        for k in range(views):
+            for a in range(3):
+                for b in range(3):
+                    across = weights[k, m] * ((a == b) - rays[k, a, m] * rays[k, b, m])
+                    normal[a, b] += across
+                    right[a] += across * centres[k, b]
+        least = TINY_RAYS * (1.0 + normal[0, 0] + normal[1, 1] + normal[2, 2])
+        inverse_symmetric(normal, least, whole)
+        for a in range(3):
+            points[a, m] = whole[a, 0] * right[0] + whole[a, 1] * right[1] + whole[a, 2] * right[2]
+        for k in range(views):
+            along, squared = 0.0, 0.0
+            for a in range(3):
+                offset = points[a, m] - centres[k, a]
+                along += offset * rays[k, a, m]
+                squared += offset * offset
+            distance = max(np.sqrt(squared), 1e-9)
+            off[k, m] = np.sqrt(max(squared - along * along, 0.0)) / distance
 
 
 def settle_points(

@@ -102,7 +102,8 @@ def _triangulated(frames: Frames) -> tuple[Located, Float64, Float64]:
     off = frames.keypoints - pixels
     information = np.einsum("nkp,nkpai,nkpaj->npij", frames.weights, derivatives, derivatives)
     pull = np.einsum("nkp,nkpai,nkpa->npi", frames.weights, derivatives, off)
-    known = ((frames.weights > 0).sum(1) > 1) & (np.linalg.cond(information) < ILL)
+    values = np.linalg.eigvalsh(information)  # (N, P, 3), rising
+    known = ((frames.weights > 0).sum(1) > 1) & (values[..., 2] < ILL * values[..., 0])
     covariance = np.zeros(information.shape)
     covariance[known] = np.linalg.inv(information[known])
     step = (covariance @ pull[..., None])[..., 0]

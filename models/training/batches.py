@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from models.bundle.instrumental_equations import NoisyFrames
 from models.capture.observations import Observations
 from models.network.losses import Batch
 from models.training.teachers import Teachers
@@ -114,3 +115,14 @@ def _virtual_share(teachers: Teachers, *, perspective: bool) -> float:
         return VIRTUAL_IF_NOT
     taught = len(teachers.points) / len(teachers.taught)
     return VIRTUAL_IF_NOT + (VIRTUAL_IF_TAUGHT - VIRTUAL_IF_NOT) * taught
+
+
+def noisy_frames(clear: Data, detected: Data, noise: float) -> NoisyFrames:
+    """Return all frames before and after noise of so many pixels was removed."""
+    every = torch.arange(len(clear.weights))
+    return NoisyFrames(
+        clear.pixels(every).double().numpy(),
+        detected.pixels(every).double().numpy(),
+        detected.weights.double().numpy(),
+        noise,
+    )

@@ -35,7 +35,8 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-MOST_FRAMES = 300  # that it is learnt from
+FEWEST_FRAMES, MOST_FRAMES = 100, 300  # that it is learnt from, if there are as many
+DETECTIONS = 100_000  # keypoints of views in them: more than these tell no more
 FEWEST_UNSEEN = 20  # frames that the network did not learn from, to learn from these alone
 
 
@@ -52,7 +53,8 @@ def posterior_of(
     None if keypoints locate points in too few of them. `detected` is the data before noise was
     removed, and `shares_left` are as in `learn_posterior`.
     """
-    some = frames[torch.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).long()]
+    count = min(_frames_for(*data.weights.shape[1:]), len(frames))
+    some = frames[torch.linspace(0, len(frames) - 1, count).long()]
     weights = data.weights[some]
     lift = prior.lift(data.pixels(some), confidence=weights, refine="full", uncertainty="off")
     there: Bool = np.all(np.isfinite(lift.points3d), axis=(1, 2))
@@ -84,28 +86,35 @@ def with_posterior(
         return prior
     lifts = _Lifts(prior, posterior, prior.self_calibration.rig)
     count, uncorrected = len(detected.weights), posterior.corrections[0]
-    every = np.arange(count)
+    most, every = _frames_for(*detected.weights.shape[1:]), np.arange(count)
     unseen = held_out if len(held_out) >= FEWEST_UNSEEN else every
-    alone = attempt(_response, uncorrected, lifts, detected.frames(_some(every, count)), None)
+    alone = attempt(_response, uncorrected, lifts, detected.frames(_some(every, count, most)), None)
     lifts = lifts._replace(posterior=posterior._replace(corrections=np.stack((alone, alone))))
-    hidden = attempt(_where_hidden, uncorrected[:2], lifts, detected.frames(_some(unseen, count)))
+    hidden = attempt(
+        _where_hidden, uncorrected[:2], lifts, detected.frames(_some(unseen, count, most))
+    )
     in_time = alone
     if times is not None and prior.smooths:
-        start = max(count - MOST_FRAMES, 0) // 2  # neighbours, to be smoothed
-        middle = slice(start, start + MOST_FRAMES)
+        start = max(count - most, 0) // 2  # neighbours, to be smoothed
+        middle = slice(start, start + most)
         in_time = attempt(_response, uncorrected, lifts, detected.frames(middle), times[middle])
     corrections = np.stack((alone, in_time))
     corrections[:, :2] = hidden
     posterior = posterior._replace(corrections=corrections)
     lifts = lifts._replace(posterior=posterior)
-    usual = attempt(_usual, posterior.usual, lifts, detected.frames(_some(every, count)))
+    usual = attempt(_usual, posterior.usual, lifts, detected.frames(_some(every, count, most)))
     return prior.with_posterior(posterior._replace(usual=usual))
 
 
-def _some(frames: Int64, count: int) -> Bool:
-    """Return which of `count` frames are a few of those given."""
+def _frames_for(views: int, keypoints: int) -> int:
+    """Return how many frames of so many views and keypoints are enough."""
+    return min(max(DETECTIONS // (views * keypoints), FEWEST_FRAMES), MOST_FRAMES)
+
+
+def _some(frames: Int64, count: int, most: int) -> Bool:
+    """Return which of `count` frames are a few of those given, `most` at most."""
     chosen = np.zeros(count, np.bool_)
-    places = np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames)))
+    places = np.linspace(0, len(frames) - 1, min(most, len(frames)))
     chosen[frames[places.astype(np.int64)]] = True
     return chosen
 

@@ -24,6 +24,7 @@ from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, set
 from models.training.batches import Data
 
 MOST_FRAMES = 400  # plenty to learn the distribution of the network's errors
+DETECTIONS, FEWEST_FRAMES = 100_000, 100  # keypoints of views in them that are plenty, too
 LEAST_FRAMES = 5  # with some number of views, to measure errors with this number
 LEAST_UNSEEN = 8  # held-out frames, to measure errors on these alone
 MOST_VIEWS = 8  # with more, the network errs as with so many
@@ -88,7 +89,9 @@ def _sample(data: Data, unseen: Data, prior: FittedPrior, seed: list[int]) -> _S
 def _frames_with_several_views(data: Data) -> tuple[Tensor, Tensor]:
     """Return pixels and weights of some frames with two views or more, spread over the capture."""
     several = ((data.weights > 0).any(-1).sum(1) > 1).nonzero()[:, 0]
-    frames = several[:: math.ceil(max(len(several), 1) / MOST_FRAMES)]
+    _, views, keypoints = data.weights.shape
+    most = min(max(DETECTIONS // (views * keypoints), FEWEST_FRAMES), MOST_FRAMES)
+    frames = several[:: math.ceil(max(len(several), 1) / most)]
     return data.pixels(frames), data.weights[frames]
 
 

@@ -45,6 +45,15 @@ class Teachers(NamedTuple):
     noise: float  # standard deviation of a keypoint's coordinate, as a share of its view's size
 
 
+@torch.inference_mode()
+def foreshortening_of(network: Prior, keypoints: Tensor, weights: Tensor) -> float:
+    """Return the foreshortening of a network's answers to (N, K, P, 2) and (N, K, P)."""
+    points, _, matrices = network.reproject(keypoints, weights)
+    return estimate_foreshortening(
+        points.numpy(), keypoints.numpy(), weights.numpy(), matrices.numpy()
+    )
+
+
 @torch.no_grad()
 def find_teachers(
     network: Prior, keypoints: Tensor, weights: Tensor, *, most: int, seed: list[int]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from models.bundle.initial_poses import WeakPerspectiveScene
-from models.bundle.instrumental_equations import NoisyFrames
 from models.bundle.known_structures import KnownStructures
 from models.bundle.problem import Scene, Views, views_apart
 from models.calibrating.handedness import NothingFoundError, same_handedness
@@ -33,17 +32,22 @@ from models.lifting.skeleton_lengths import SkeletonLengths, learn_skeleton_leng
 from models.lifting.usual_structure import learn_usual_structure
 from models.network.answers import Usual
 from models.network.priors.prior import Prior
-from models.network.settling import estimate_foreshortening
 from models.numerics.steps import Steps, finished
 from models.posterior.posterior import Posterior
 from models.settings.config import FitConfig
-from models.training.batches import Data
+from models.training.batches import Data, noisy_frames
 from models.training.causes_of_fit import with_causes
 from models.training.fit_posterior import posterior_of
 from models.training.known_structures import believe_where_better, known_structures
 from models.training.network_errors import learn_errors_of_network
 from models.training.state import TeachingState
-from models.training.teachers import Teachers, draw_frames, find_teachers, perspective_teachers
+from models.training.teachers import (
+    Teachers,
+    draw_frames,
+    find_teachers,
+    foreshortening_of,
+    perspective_teachers,
+)
 from models.training.usual import learn_usual
 
 logger = logging.getLogger(__name__)
@@ -81,6 +85,7 @@ class Teaching:
         self._removed_noise = removed_noise  # and the noise left, pixels
         self._detected = detected  # the data before noise was removed, weighted by this noise
         self._edges = edges  # (E, 2) of the skeleton
+        self._foreshortening: float | None = None  # of the network as it is, once it is known
         self._task: CalibrationTask | None = None  # of a search for cameras, with their geometry
 
     def settle_by_geometry(self) -> Iterator[None]:
@@ -133,6 +138,10 @@ class Teaching:
         if config.distillation:
             yield from self._make_perspective_teachers(self.self_calibration, frames, step)
 
+    def network_changed(self) -> None:
+        """Forget what was found out about the network; called whenever it has learnt."""
+        self._foreshortening = None
+
     def stop_searching(self) -> None:
         """Continue without cameras if they are not found by now."""
         if self.self_calibration is None:
@@ -183,13 +192,7 @@ class Teaching:
         skeleton: SkeletonLengths | None = None,
         structures: KnownStructures | None = None,
     ) -> FittedPrior:
-        every = slice(None, None, self._every(HANDEDNESS_FRAMES))
-        keypoints, weights = self._data.keypoints[every], self._data.weights[every]
-        with torch.inference_mode():
-            points, _, matrices = self._network.reproject(keypoints, weights)
-        foreshortening = estimate_foreshortening(
-            points.numpy(), keypoints.numpy(), weights.numpy(), matrices.numpy()
-        )
+        foreshortening = self._foreshortening_of_network()
         if self_calibration is not None:
             foreshortening = abs(foreshortening) * (-1 if self.state.mirrored else 1)
         return FittedPrior(
@@ -201,6 +204,13 @@ class Teaching:
             skeleton=skeleton,
             structures=structures,
         )
+
+    def _foreshortening_of_network(self) -> float:
+        if self._foreshortening is None:
+            every, data = slice(None, None, self._every(HANDEDNESS_FRAMES)), self._data
+            some = data.keypoints[every], data.weights[every]
+            self._foreshortening = foreshortening_of(self._network, *some)
+        return self._foreshortening
 
     def _every(self, most: int) -> int:
         """Return a part of the frames, at most so many."""
@@ -216,14 +226,14 @@ class Teaching:
 
     def _task_of_all(self) -> Steps[CalibrationTask]:
         """Return the task of finding the cameras in all frames with two views or more."""
-        frames = self._frames_of_several_views(0).sort().values
+        frames, removed = self._frames_of_several_views(0).sort().values, self._removed_noise
         task = task_of(
             self._data.pixels(frames).double().numpy(),
             self._data.weights[frames].double().numpy(),
             self._config,
             self._image_sizes,
             detected=self._detected.pixels(frames).double().numpy(),
-            noisy=self._noisy_frames(),
+            noisy=removed and noisy_frames(self._data, self._detected, removed[0]),
             edges=self._edges,
         )
         return (yield from with_causes(task))
@@ -268,18 +278,6 @@ class Teaching:
         (found, scene), (noise, left) = result, self._removed_noise
         reason = f"{found.reason}; {noise:.3g} px of noise were removed"
         return replace(found, reason=reason, noise=max(found.noise, left)), scene
-
-    def _noisy_frames(self) -> NoisyFrames | None:
-        """Return all frames before and after noise removal; None if no noise was removed."""
-        if self._removed_noise is None:
-            return None
-        every = torch.arange(len(self._data.weights))
-        return NoisyFrames(
-            self._data.pixels(every).double().numpy(),
-            self._detected.pixels(every).double().numpy(),
-            self._detected.weights.double().numpy(),
-            self._removed_noise[0],
-        )
 
     def _learn_lengths(
         self, prior: FittedPrior, found: SelfCalibration | None

@@ -201,7 +201,7 @@ class Trainer:
 
     def result(self) -> FittedPrior:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
-        self._learner.update_network()
+        self._update_network()
         prior = self._teaching.result(self.step, self._curve)
         usual = attempt(self._teaching.usual, nothing_unusual())
         capture = self._capture._replace(usual=usual, structure=self._teaching.structure, mends=())
@@ -239,6 +239,11 @@ class Trainer:
         self._state, self._curve = saved.state, list(saved.curve)
         self._teaching.state, self._teaching.teachers = saved.state.teaching, saved.teachers
         self._teaching.self_calibration = saved.self_calibration
+
+    def _update_network(self) -> None:
+        """Give the network the weights that were learnt so far."""
+        self._learner.update_network()
+        self._teaching.network_changed()
 
     def _take_step(self) -> tuple[float, float]:
         """Take one optimiser step; return the loss and the reprojection error in pixels."""
@@ -285,7 +290,7 @@ class Trainer:
         clock, budget = self._state.clock, self._budget
         begun = clock.seconds
         limit = begun + (CALIBRATION_LIMIT if searching else 1) * (budget - begun)
-        self._learner.update_network()
+        self._update_network()
         most = self._state.schedule.steps // TEACHER_SHARE
         for _ in self._teaching.make_teachers(self.step, most=most):
             clock.count()
@@ -328,7 +333,7 @@ class Trainer:
     def _check_holdout(self, holdout: Holdout) -> None:
         """Move on to the next stage if the held-out error no longer falls."""
         state = self._state
-        self._learner.update_network()
+        self._update_network()
         teachers = self._teaching.teachers
         error = holdout.error(self._network, 0.0 if teachers is None else teachers.foreshortening)
         best = state.best
