@@ -51,7 +51,6 @@ PACKAGES = {
     CLIENT: (
         ("geometry",),
         (
-            "animation",
             "capture",
             "errors",
             "evaluation",
@@ -69,6 +68,7 @@ PACKAGES = {
             "mended",
             "reading_options",
         ),
+        ("animation",),
         ("gif", "readers"),
         ("api", "known_data"),
         ("client", "room"),
