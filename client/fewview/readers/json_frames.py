@@ -23,8 +23,9 @@ PEOPLE = (
 )
 POINTS = (
     *("keypoints", "pose_keypoints_2d", "joints", "pose", "keypoint", "kpts"),
-    *("recognizedPoints", "recognized_points", "points"),
+    *("recognizedPoints", "recognized_points", "points", "landmarks"),
 )
+SIDES = tuple((s, f"image_{s}", f"image{s.capitalize()}") for s in ("width", "height"))
 CALLED = ("name", "part", "joint", "jointName", "joint_name")  # a point, in its own fields
 SCORES = ("keypoint_scores", "keypoints_scores", "kp_score", "scores", "keypoint_confidences")
 NUMBERS = (
@@ -109,7 +110,7 @@ def is_one_frame(content: Any) -> bool:
     if isinstance(content, dict):
         key = next((key for key in (*PEOPLE, BARE) if isinstance(content.get(key), list)), None)
         many = key in FRAMES and _holds_frames(content[key]) and len(content[key]) > 1
-        return key is not None and not many
+        return _are_named_points(_by_name(content)) if key is None else not many
     if not isinstance(content, list) or not content or not isinstance(content[0], dict):
         return False
     people = people_of(content)
@@ -154,6 +155,13 @@ def _by_name(person: Any) -> dict[str, Any] | None:
     if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         return None
     return {str(name): each for name, each in zip(names, points, strict=True)}
+
+
+def _are_named_points(points: dict[str, Any] | None) -> bool:
+    return bool(points) and all(
+        not name.isdecimal() and (not point or _is_point(point) or _is_points([point]))
+        for name, point in (points or {}).items()
+    )
 
 
 def _coordinates(point: Any) -> Point:
@@ -216,7 +224,9 @@ def size_of(frame: Any) -> tuple[int, int] | None:
     if isinstance(pair, list) and len(pair) == 2:
         width, height = pair
     else:
-        width, height = (frame.get(key, frame.get(f"image_{key}")) for key in ("width", "height"))
+        width, height = (
+            next((frame[name] for name in names if name in frame), None) for names in SIDES
+        )
     known = isinstance(width, int | float) and isinstance(height, int | float)
     return (int(width), int(height)) if known and width > 0 and height > 0 else None
 

@@ -140,6 +140,18 @@ def joints(view: int, frame: int, layout: str) -> Any:
     return {"frame": frame} | {name: {"x": x, "y": y} for name, x, y, _ in points}
 
 
+def test_a_file_for_each_frame_of_joints_by_name(tmp_path: Path) -> None:
+    for view in range(2):
+        folder = tmp_path / f"cam{view + 1}"
+        folder.mkdir()
+        for frame in range(6):
+            content = {
+                "landmarks": {name: {"x": x, "y": y} for name, x, y, _ in present(view, frame)}
+            }
+            (folder / f"frame_{frame:04d}.json").write_text(json.dumps(content))
+    as_it_was_seen(fewview.read(tmp_path))
+
+
 @pytest.mark.parametrize("layout", ["lists", "listed", "null", "bare"])
 def test_joints_by_name_are_a_union_with_gaps(tmp_path: Path, layout: str) -> None:
     for view in range(2):
