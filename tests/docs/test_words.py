@@ -43,10 +43,8 @@ NOT_YET = {
     "docs/architecture.md",
     "docs/development.md",
     "docs/doubt.md",
-    "docs/fidelity.md",
     "docs/method.md",
     "docs/performance.md",
-    "docs/tuning.md",
 }
 NAMES = {str(page.relative_to(ROOT)): page for page in PAGES}
 FENCE = re.compile(r"^ *(```|~~~).*?^ *\1", re.MULTILINE | re.DOTALL)
