@@ -19,12 +19,13 @@ from tests.processes import command_of, descendants
 from tests.service.conftest import (
     BYTES,
     JSON,
+    SLOW_FRAMES,
     frames_of,
     problem,
     served,
+    slow_to_read,
     to_npz,
     to_safetensors,
-    zip_of,
 )
 from tests.waiting import wait_for
 
@@ -173,14 +174,13 @@ def test_slow_readers_keep_nobody_waiting(
 ) -> None:
     """Two read beside each other leave places; beyond these, nobody waits without end."""
     read, network = b"service.wire.sandbox", b"onnx_file"
-    people = [{"pose_keypoints_2d": [5.5, 7.5, 1] * 25}]
-    frame = orjson.dumps({"people": people})
-    zipped = zip_of({f"cam_{n:012}_keypoints.json": frame for n in range(3000)})  # takes a while
-    forms = [("files", (f"cam{view}.zip", zipped)) for view in range(2)]
+    forms = slow_to_read()
     large = to_npz(keypoints=capture.keypoints, ignored=np.zeros(2**18))
     assert len(large) > 2**20
 
-    with served(settings.model_copy(update={"large_at_a_time": 1, "max_frames": 3000})) as http:
+    with served(
+        settings.model_copy(update={"large_at_a_time": 1, "max_frames": SLOW_FRAMES})
+    ) as http:
 
         def post() -> httpx2.Response:
             return http.post("/datasets", files=forms)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from inspect import isasyncgenfunction, iscoroutinefunction
-from pathlib import Path
 
 import httpx2
 import orjson
@@ -26,17 +25,18 @@ from store import access_keys, lookup
 from store.access_keys import SCOPES
 from store.database import Store
 from store.records import DatasetRecord
-from tests.client.readers import files
 from tests.processes import command_of, descendants
 from tests.service.conftest import (
     BYTES,
     CONFIG,
     JSON,
     MIB,
+    SLOW_FRAMES,
     frames_of,
     make_dataset,
     problem,
     served,
+    slow_to_read,
 )
 from tests.service.test_keys import bearer
 from tests.waiting import wait_for
@@ -73,6 +73,7 @@ def http(settings: Settings, greedy: Header, other: Header) -> Iterator[httpx2.C
         "large_at_a_time": 1,
         "max_pending_bytes": 16 * MIB // 3 + 1,
         "request_seconds": 3.0,
+        "max_frames": SLOW_FRAMES,
     }
     with served(settings.model_copy(update=narrow)) as client:
         yield client
@@ -236,23 +237,22 @@ def test_readers_that_take_long_leave_a_turn(
     http: httpx2.Client,
     greedy: Header,
     other: Header,
-    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    values = files.walk(12).reshape(12, -1)
-    table = files.dlc_csv(tmp_path / "a", files.columns(files.NAMES), values).read_bytes()
-    forms = [("files", (f"cam{view}.csv", table)) for view in range(2)]
+    forms = slow_to_read()
 
     def post(header: Header) -> httpx2.Response:
         return http.post("/datasets", files=forms, headers=header)
 
+    assert post(other).status_code == 201
+    before = descendants(os.getpid())  # what forks the readers among them
     frozen: set[int] = set()
 
     def freeze_one() -> bool:
         reading = [
             p
-            for p in descendants(os.getpid()) - frozen
-            if b"service.wire.reading_" in command_of(p)
+            for p in descendants(os.getpid()) - frozen - before
+            if b"service.wire.sandbox" in command_of(p)
         ]
         for pid in reading:
             os.kill(pid, signal.SIGSTOP)
