@@ -14,6 +14,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.client.readers import files
+from tests.client.readers.test_hdf5_of_others import nwb
 from tests.service.conftest import problem, zip_of
 
 NAMES = files.NAMES
@@ -58,6 +59,23 @@ def send(api: TestClient, sent: Parts, **fields: str) -> dict[str, Any]:
 
 def refused(answer: httpx2.Response, field: str = "files") -> str:
     return problem(answer, 422, "invalid_input", f"/{field}")
+
+
+def test_an_nwb_of_two_cameras_with_links_and_a_calibration(
+    api: TestClient, tmp_path: Path
+) -> None:
+    made = send(api, parts(session_nwb=nwb(tmp_path / "a.nwb").read_bytes()))
+    assert (made["frames"], made["views"], made["keypoints"]) == (12, 2, 4)
+    assert made["view_names"] == ["cam1", "cam2"]
+    assert made["calibration"]["names"] == ["cam1", "cam2"]
+
+
+def test_cameras_in_the_names_of_keypoints(api: TestClient, tmp_path: Path) -> None:
+    names = [f"{word}_{name}" for word in ("real", "mirror") for name in NAMES]
+    both = np.concatenate([LEFT, RIGHT], axis=1).reshape(12, -1)
+    sent = parts(rat_csv=files.dlc_csv(tmp_path / "a", files.columns(names), both).read_bytes())
+    assert send(api, sent)["view_names"] == ["real", "mirror"]
+    assert send(api, sent, views_in_names="none")["views"] == 1
 
 
 def test_tables_of_two_cameras(api: TestClient, tables: Parts) -> None:
