@@ -4,7 +4,7 @@
 # make check  lint, type-check and test what you changed: docs/development.md
 # make fidelity   measure errors: `make fidelity CAPTURE=file.npz`, else on the example
 # make benchmark  time lifts; benchmark-load, -fit, -scaling, -runtimes: see benchmarks/README.md
-# make performance   write all figures of docs/performance.md anew
+# make performance   write all figures of docs/performance.md and evidence/speed.md anew
 # make fuzz   send up to 5,000 generated requests to a running service (schemathesis)
 # make serve  set up, then run the service, and print the address of its page
 # make docs   build the site of docs/ into build/site

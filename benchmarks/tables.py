@@ -1,4 +1,4 @@
-"""Write the figures of benchmarks into docs/performance.md, each between its marks.
+"""Write the figures of benchmarks into docs/performance.md and evidence/speed.md, between marks.
 
     python benchmarks/tables.py lift.json load.json fit.json scaling.json runtimes.json
 
@@ -15,27 +15,31 @@ from typing import Any
 
 from benchmarks.figures import Bar, Row, show
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "performance.md"
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "docs" / "performance.md", ROOT / "evidence" / "speed.md"]
 
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description="Write figures into docs/performance.md.")
+    parser = argparse.ArgumentParser(description="Write figures into the documents.")
     parser.add_argument("files", type=Path, nargs="+", help="what --json wrote")
-    parser.add_argument("--document", type=Path, default=DOCUMENT, help="default: %(default)s")
+    parser.add_argument(
+        "--document", type=Path, action="append", help="default: performance.md and speed.md"
+    )
     arguments = parser.parse_args()
-    text = arguments.document.read_text()
+    texts = {path: path.read_text() for path in arguments.document or DOCUMENTS}
     bars: list[Row] = []
     for path in arguments.files:
         results = json.loads(path.read_text())
         name = results["benchmark"]
-        text = between(text, name, section(results))
+        put(texts, name, section(results))
         for bar in results["bars"]:
             bar.pop("held")
             bars.append({"benchmark": name, **Bar(**bar).row()})
     if bars:
-        text = between(text, "bars", table(bars))
-    arguments.document.write_text(text)
+        put(texts, "bars", table(bars))
+    for path, text in texts.items():
+        path.write_text(text)
 
 
 def section(results: dict[str, Any]) -> str:
@@ -58,13 +62,15 @@ def table(rows: list[Row]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def between(text: str, name: str, new: str) -> str:
-    """Return the text with something new between the marks of this name."""
+def put(texts: dict[Path, str], name: str, new: str) -> None:
+    """Put something new between the marks of this name, in the document that has them."""
     first, last = f"<!-- {name} -->", f"<!-- /{name} -->"
     pattern = re.compile(re.escape(first) + ".*?" + re.escape(last), re.DOTALL)
-    if not pattern.search(text):
-        sys.exit(f"the document has no place for `{name}`: {first} ... {last}")
-    return pattern.sub(lambda _: f"{first}\n{new}\n{last}", text)
+    for path, text in texts.items():
+        if pattern.search(text):
+            texts[path] = pattern.sub(lambda _: f"{first}\n{new}\n{last}", text)
+            return
+    sys.exit(f"no document has a place for `{name}`: {first} ... {last}")
 
 
 if __name__ == "__main__":

@@ -43,7 +43,6 @@ NOT_YET = {
     "docs/development.md",
     "docs/doubt.md",
     "docs/method.md",
-    "docs/performance.md",
 }
 NAMES = {str(page.relative_to(ROOT)): page for page in PAGES}
 FENCE = re.compile(r"^ *(```|~~~).*?^ *\1", re.MULTILINE | re.DOTALL)
