@@ -86,17 +86,6 @@ def zip_of(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -
     return buffer.getvalue()
 
 
-SLOW_FRAMES = 1200
-
-
-def slow_to_read() -> list[tuple[str, tuple[str, bytes]]]:
-    """Return small files of a form whose `SLOW_FRAMES` frames take a while to read."""
-    frame = b'{"people": [{"pose_keypoints_2d": [%b]}]}' % b",".join([b"5.5, 7.5, 1"] * 25)
-    names = (f"cam_{n:012}_keypoints.json" for n in range(SLOW_FRAMES))
-    zipped = zip_of(dict.fromkeys(names, frame))
-    return [("files", (f"cam{view}.zip", zipped)) for view in range(2)]
-
-
 def problem(response: httpx2.Response, status: int, code: str, pointer: str | None = None) -> str:
     """Check problem details and return what they say."""
     assert response.status_code == status, response.text[:500]

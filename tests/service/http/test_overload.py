@@ -19,14 +19,13 @@ from tests.processes import command_of, descendants
 from tests.service.conftest import (
     BYTES,
     JSON,
-    SLOW_FRAMES,
     frames_of,
     problem,
     served,
-    slow_to_read,
     to_npz,
     to_safetensors,
 )
+from tests.service.slow_files import SLOW_FRAMES, slow_to_read
 from tests.waiting import wait_for
 
 KIB = 1024

@@ -31,13 +31,12 @@ from tests.service.conftest import (
     CONFIG,
     JSON,
     MIB,
-    SLOW_FRAMES,
     frames_of,
     make_dataset,
     problem,
     served,
-    slow_to_read,
 )
+from tests.service.slow_files import SLOW_FRAMES, slow_to_read
 from tests.service.test_keys import bearer
 from tests.waiting import wait_for
 
