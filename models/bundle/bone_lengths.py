@@ -11,6 +11,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 LEAST_SCATTER = 0.003  # of a log length: keypoints do not sit on bones, so none is held tighter
 UNSTEADY = 0.04  # of a log length: a distance that scatters more is no bone
 OUTLIER = 2.0  # scatters beyond which a length has less and less weight

@@ -22,6 +22,7 @@ from models.numerics.steps import Steps
 
 Float64 = NDArray[np.float64]
 
+# Figures: evidence/static-rigs.md.
 MORE_NOISE = 1.4  # times the noise of moving cameras: with more, cameras are not static
 LENS_ERRORS = 1e-3  # of the image's side: noise that lens models may add
 

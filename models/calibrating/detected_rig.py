@@ -26,6 +26,7 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 ROUNDS = 30  # of linearising, at most
 CONVERGED, LONGEST_STEP = 1e-3, 0.15  # radians, logarithms and baselines, in a round
 MOST_NUMBERS = 8_000_000  # of derivatives: 64 MB

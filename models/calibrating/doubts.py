@@ -40,6 +40,7 @@ Part = Literal["lens", "pose"]
 # subject.
 USUAL_FOCAL_ERROR, USUAL_CENTRE_ERROR, USUAL_RADIAL_ERROR = 0.02, 0.01, 0.1
 USUAL_TURN, USUAL_SHIFT = 0.8, 0.02
+# Figures: evidence/given-values.md.
 # A value that is off by more than so many usual errors is refused; below, it is refined.
 GROSS = 4.0
 # A view's noise with the given values, over its noise without. From these ratios on it is doubtful,

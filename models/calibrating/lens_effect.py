@@ -31,6 +31,7 @@ from models.optics.lenses.projection import project
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 MOVED = [FOCAL, CENTRE_X, CENTRE_Y]  # numbers of a lens that are moved
 FRAMES = 40  # at most, that are examined
 ITERATIONS = 30  # of adjusting the poses

@@ -10,6 +10,7 @@ from models.epipolar.rig_certainty import FocalLikelihood
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 DECISIVE = 5.0  # nats by which several kinds of lens must be more likely than one
 
 

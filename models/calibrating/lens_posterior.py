@@ -18,6 +18,7 @@ from models.calibrating.problem import LensPosterior
 
 Float64 = NDArray[np.float64]
 
+# Figures: evidence/lenses.md.
 FINE = 0.01  # of the common log focal length, or so many standard deviations of its kind
 RATIOS = np.linspace(-3.5, 3.5, 21)  # standard deviations of the log ratio
 # Errors of the evidence of shapes, learnt on drawn motions: Student's t of common log focal length

@@ -22,6 +22,7 @@ from models.optics.lenses.projection import LENSES, index_of
 
 Float64 = NDArray[np.float64]
 
+# Figures: evidence/lenses.md.
 # Standard deviations of numbers that are not given: of one kind of camera together, and of each
 # camera about its kind.
 FOCAL_SDS = (0.3, 0.01)  # of the log focal length

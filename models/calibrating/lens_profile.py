@@ -36,6 +36,7 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 POINTS = 1200  # at most, that cameras are adjusted to
 FRAMES, KEYPOINTS = 100, 40  # at most, that shapes are learnt from
 ITERATIONS = 40  # of adjusting cameras

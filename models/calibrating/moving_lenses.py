@@ -25,6 +25,7 @@ from models.numerics.steps import Steps
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lenses.md.
 FRAMES = 100  # at most, that shapes are learnt from
 ROUNDS = 3  # of learning shapes
 # Of the image's side: evidence distinguishes lenses by less than what their models leave.

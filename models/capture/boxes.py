@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+# Figures: evidence/keypoints.md.
 # Set on drawn captures 0 to 23 of each kind, motions of `setting`: of 26 views that are stretched
 # 23 are within both, and of 457 others 8, all of which are in boxes or static. Of `looking`: 25 of
 # 25, and 9 of 454.

@@ -40,6 +40,7 @@ Int64 = NDArray[np.int64]
 
 DENOISER_KIND = "curves"  # in files: a mixture and curves, noise of each keypoint in each view
 
+# Figures: evidence/noise.md.
 FRAMES_AT_A_TIME = 64  # that a thread denoises
 LEAST_FRAMES = 40  # with fewer, noise and signal are hardly distinguishable
 MOST_FRAMES = 4000  # plenty to learn components from

@@ -21,6 +21,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+# Figures: evidence/keypoints.md.
 LEAST_REPEATS = 10  # frames; in real detections five that agree to the last digit were never seen
 MOST_FROZEN = 1000  # places in a capture
 MOST_PLACES = 10  # where one keypoint of a view is looked for, the most repeated first

@@ -23,6 +23,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
+# Figures: evidence/noise.md.
 LEAST_FRAMES = 40  # with fewer, noise and motion are hardly distinguishable
 MOST_COORDINATES = 800  # of a frame: the covariance has as many rows
 # What is learnt from: blocks of frames, as many as take seconds.

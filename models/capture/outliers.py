@@ -42,6 +42,7 @@ Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 OUTLIERS_KIND = "freedom"  # in files: with the degrees of freedom of inliers' errors
+# Figures: evidence/keypoints.md.
 OLD_FREEDOM = 6.0  # of older files
 # That are tried. With fewer, more outliers would pass for inliers' tails; with more, keypoints of
 # poses that the fit has not seen would pass for outliers.

@@ -20,6 +20,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/noise.md.
 FRAMES_PER_STOP = (3, 5, 8)  # through whose means a curve is first led: three curves
 FRAMES_PER_POINT = 2  # of a curve, if that makes more than `PLENTY`
 PLENTY, MOST_POINTS = 500, 1000  # of a curve; fewer only if there are fewer frames

@@ -21,6 +21,7 @@ Bool = NDArray[np.bool_]
 # How many frames a component has, on average: two answers, several random starts of each. All
 # their components together are one mixture, which errs less than any of its parts.
 FRAMES_PER_COMPONENT, STARTS = (46, 23), 2
+# Figures: evidence/noise.md.
 ROUNDS = 20
 POOLED_FRAMES = 100  # that the covariance of all components together counts for in each
 LEAST_SIGNAL = 1e-4  # variance of a component in any direction, as a share of that of the noise

@@ -23,6 +23,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/keypoints.md.
 SURE = 20.0  # twice the log likelihood ratio of a frame put right and as it was
 LITTLE = 4.0  # that of one more pair of keypoints
 LIKELY = 12.0  # that from which a frame counts for a pair being left and right

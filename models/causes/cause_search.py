@@ -32,6 +32,7 @@ from models.causes.upright import quarter_turns
 from models.epipolar.static_rig import StaticRig
 from models.numerics.steps import Steps
 
+# Figures: evidence/causes.md.
 LEAST_VIEWS = 3
 WORTH = 8.0  # nats that free lenses must gain for a search to begin
 NAMED = 10.0  # nats for a cause to be named

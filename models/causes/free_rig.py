@@ -21,6 +21,7 @@ Float64 = NDArray[np.float64]
 # Numbers of a camera: log focal length, log fx / fy, principal point, radial coefficients, pose.
 FOCAL, ASPECT, CENTRE, RADIAL, LENS, CAMERA = 0, 1, 2, 4, 6, 12
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-10, 1e6
+# Figures: evidence/causes.md.
 CONVERGED = 0.05  # nats in a step
 MOST_STEP = 0.3  # of the logarithms
 POINT_STEPS = 6

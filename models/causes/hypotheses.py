@@ -15,6 +15,7 @@ from models.causes.sightings import Even, Hypothesis
 
 Float64 = NDArray[np.float64]
 
+# Figures: evidence/causes.md.
 SCALES = (1 / 3, 1 / 2, 2 / 3, 2.0)
 ASPECTS = (16 / 9, 4 / 3, 3 / 4, 9 / 16)
 BENDS = (0.1, 0.18, 0.26)

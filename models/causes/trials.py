@@ -22,6 +22,7 @@ from models.causes.sightings import FIRST_ITERATIONS, Even, Sightings, Trial
 from models.causes.upright import QUARTER, quarter_turns
 from models.numerics.steps import Steps
 
+# Figures: evidence/causes.md.
 FINALISTS = 7  # hypotheses that are tried with many points
 PROMISING = 2.0  # nats that one must gain with a few points
 HOPELESS = 500.0  # nats against a mirror image after a few steps, beside twice the usual ones

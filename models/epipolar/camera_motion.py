@@ -20,6 +20,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
+# Figures: evidence/static-rigs.md.
 FEWEST = 6  # points of a frame that a view must show to get a pose
 TINY = 1e-9
 WEAKEST = 1e-3  # of the strongest direction of a pose: weaker ones are left alone

@@ -33,6 +33,7 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/static-rigs.md.
 RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LEAST_NOISE = 1e-5  # sides: less is as good as none
 LEAST_LEFT = 0.1  # least share of a view's residuals that points do not absorb

@@ -21,6 +21,7 @@ Float64 = NDArray[np.float64]
 
 STARTS, FINALISTS = 6, 2
 OTHER_FOCALS, SWEEPS, SWEEP_ITERATIONS = (0.5, 2.0), 2, 6
+# Figures: evidence/static-rigs.md.
 COMMON_FACTORS = (0.6, 1.6)  # of all focal lengths; clear keypoints may hold a rig at its start
 FIRST_ITERATIONS, MORE_ITERATIONS = 15, 20
 SAME = 0.03  # radians and share of focal lengths within which rigs count as one

@@ -23,6 +23,7 @@ from models.numerics.threads import in_slices
 Bool = NDArray[np.bool_]
 Int8 = NDArray[np.int8]
 
+# Figures: evidence/lifts.md.
 LOOKS = 3  # times at most that a frame is lifted again with other keypoints
 LIFTED_FRAMES, REFINED_FRAMES = 64, 16  # that a thread takes at a time
 

@@ -26,6 +26,7 @@ from models.optics.lenses.projection import Lenses, project_into
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
+# Figures: evidence/lifts.md.
 UNLIKE = 2.0  # standard errors by which a frame must lie further off than is explained
 NEAR, FAR = 4.0, 18.0  # variances of noise: where heavier tails begin, and where all is tail
 

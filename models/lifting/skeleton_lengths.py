@@ -33,6 +33,7 @@ from models.optics.lenses.projection import Lenses
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
+# Figures: evidence/lifts.md.
 # Lengths are in units of the structure: the usual distance of a keypoint from the middle is 1.
 LEAST_SCATTER = 0.007  # keypoints do not sit on bones, so no length is held steadier
 UNCERTAINTY = 0.1  # standard deviation of a keypoint that no view shows

@@ -22,6 +22,7 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Int8 = NDArray[np.int8]
 
+# Figures: evidence/lifts.md.
 STRAY = 8.0  # noise standard deviations from which a keypoint strays
 LEAST_VIEWS = 3  # that show a frame: with two, every keypoint has two rays alone
 NEAR = 0.15  # share of the subject's size: a keypoint so near to its prediction is right

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from models.training.schedule import Schedule
 
+# Figures: evidence/network.md.
 PLAN_EVERY = 25  # steps
 WARM_UP_STEPS = 5  # slower than all others, so not used to predict these
 NEWEST_WEIGHT = 0.1  # of the newest step in the running mean

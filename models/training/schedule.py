@@ -10,6 +10,7 @@ from typing import cast
 
 from models.settings.config import FitConfig
 
+# Figures: evidence/network.md.
 # Shares of the fit after which teachers are made, and made anew with a better network.
 WEAK_PERSPECTIVE_REFRESHES = (1 / 2, 3 / 4)
 # With perspective, the cameras are found at the first of these.
