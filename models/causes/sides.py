@@ -6,6 +6,7 @@ import numpy as np
 
 from models.calibrating.problem import CalibrationProblem
 from models.epipolar.left_right import find_left_right
+from models.epipolar.order_checks import LEAST_FRAMES
 from models.epipolar.view_pairs import chosen_pairs, fit_pairs, seen_keypoints
 
 
@@ -22,6 +23,8 @@ def exchanged_sides(problem: CalibrationProblem) -> SidesExchanged | None:
 
     A mirror image has epipolar lines, too, so this is seen before the mirror is.
     """
+    if len(problem.weights) < LEAST_FRAMES:
+        return None
     seen = seen_keypoints(problem.detected, problem.weights)
     matrices = fit_pairs(seen, chosen_pairs(seen))
     found = find_left_right(seen, matrices) if matrices else None
