@@ -8,6 +8,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from store import clock, fits, jobs, keys, lookup, models, webhooks
+from store.answers import PROVISIONAL, provisional_keys
 from store.database import Store
 from store.disposal import condemn, discard
 from store.errors import DamagedError, LeaseLostError
@@ -85,11 +86,58 @@ def save_checkpoint(store: Store, attempt: Attempt, data: bytes) -> None:
             old = session.scalar(
                 select(FitRecord.checkpoint_key).where(FitRecord.id == attempt.fit_id)
             )
-            _write(session, attempt, {"checkpoint_key": key, "stored_bytes": len(data)})
+            size = FitRecord.first_bytes + len(data)
+            _write(session, attempt, {"checkpoint_key": key, "stored_bytes": size})
     except LeaseLostError:
         discard(store, key)
         raise
     discard(store, old)
+
+
+def save_first_answer(
+    store: Store, attempt: Attempt, *, model: bytes, reconstruction: bytes, findings: list[Any]
+) -> None:
+    """Store what geometry found, to be there while the fit goes on, in one transaction.
+
+    It takes the place of one that the fit has, and goes when the fit ends, however it does. Raises
+    ``LeaseLostError`` if this attempt is stale.
+    """
+    first_key = keys.of_reconstruction(attempt.fit_id, reconstruction)
+    model_key = keys.of_first_model(attempt.fit_id, model)
+    store.objects.put(first_key, reconstruction)
+    store.objects.put(model_key, model)
+    try:
+        with store.writing() as session:
+            old = _exchange_first(
+                session,
+                attempt,
+                {"first_key": first_key, "first_model_key": model_key, "findings": findings},
+                len(reconstruction) + len(model),
+            )
+    except LeaseLostError:
+        discard(store, first_key, model_key)
+        raise
+    discard(store, *old)
+
+
+def withdraw_first_answer(store: Store, attempt: Attempt) -> None:
+    """Delete the first answer of an earlier attempt; raise ``LeaseLostError`` as others do."""
+    nothing = {"first_key": None, "first_model_key": None, "findings": None}
+    with store.writing() as session:
+        old = _exchange_first(session, attempt, nothing, 0)
+    discard(store, *old)
+
+
+def _exchange_first(
+    session: Session, attempt: Attempt, values: dict[str, Any], size: int
+) -> list[str | None]:
+    """Write another first answer, of ``size`` bytes; return the keys of the one before."""
+    columns = FitRecord.first_key, FitRecord.first_model_key
+    old = session.execute(select(*columns).where(FitRecord.id == attempt.fit_id)).first()
+    stored = FitRecord.stored_bytes - FitRecord.first_bytes + size
+    values |= {"first_bytes": size, "stored_bytes": stored, "revision": FitRecord.revision + 1}
+    _write(session, attempt, values)
+    return [*(old or ())]
 
 
 def load_checkpoint(store: Store, fit_id: str) -> bytes | None:
@@ -157,7 +205,7 @@ def succeed(
     except LeaseLostError:
         discard(store, model.weights_key, reconstruction_key, report_key)
         raise
-    discard(store, fit.checkpoint_key)
+    discard(store, *provisional_keys(fit))
     return model.id
 
 
@@ -166,8 +214,8 @@ def end(
 ) -> None:
     """End the attempt's fit as ``failed`` or ``cancelled``."""
     with store.writing() as session:
-        locked = select(FitRecord.checkpoint_key).where(FitRecord.id == attempt.fit_id)
-        condemned = condemn(session, [session.scalar(locked.with_for_update())])
+        locked = select(*PROVISIONAL).where(FitRecord.id == attempt.fit_id).with_for_update()
+        condemned = condemn(session, [key for keys in session.execute(locked) for key in keys])
         _write(session, attempt, fits.ended(status) | {"error": error})
     discard(store, *condemned)
 

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Select, Table, insert, select
 
+from store.answers import PROVISIONAL
 from store.database import Store
 from store.errors import DamagedError, StoreError
 from store.housekeeping import KEYS, known_keys
@@ -41,7 +42,8 @@ FORMAT = 1  # of a backup; grows when older versions could not restore it
 SUMMARY = "backup.json"
 # What is of this deployment alone, or of the next minutes.
 LEFT_OUT = {kind.__tablename__ for kind in (Deployment, CondemnedObject, IdempotencyKey, Delivery)}
-CHECKPOINT = FitRecord.checkpoint_key  # gone in seconds: a fit that runs starts anew when restored
+# Gone in seconds: a fit that runs starts anew when restored.
+PASSING = {column.key: None for column in PROVISIONAL} | {"first_bytes": 0}
 AT_A_TIME = 4  # objects in hand
 ROWS_AT_A_TIME = 500
 TRIES = 5
@@ -233,7 +235,7 @@ def _write_records(store: Store, file: Path, project: str | None) -> tuple[int, 
             for found in connection.execute(query).mappings():
                 row = dict(found)
                 if table.name == FitRecord.__tablename__:
-                    row[CHECKPOINT.key] = None
+                    row |= PASSING
                 named.update(_keys_in(table, row))
                 lines.write(json.dumps([table.name, row]) + "\n")
                 count += 1

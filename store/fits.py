@@ -20,14 +20,15 @@ from models.settings.config import FitConfig, warm
 from models.settings.lenses import Lens, LensError, known_lenses, lens_of_each_view
 from models.settings.priors import ARCHITECTURE
 from store import clock, corrections, datasets, jobs, webhooks
+from store.answers import PROVISIONAL, provisional_keys
 from store.authors import author_of, owned_by
 from store.capture import Capture
 from store.database import Store
 from store.disposal import condemn
-from store.errors import ConfigError, ConflictError, NotFoundError, SourceError
+from store.errors import ConfigError, NotFoundError, SourceError
 from store.idempotency import Idempotency
 from store.labels import Labels
-from store.lookup import lock, lost
+from store.lookup import lock
 from store.mistakes import unknown
 from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
 from store.version import VERSION
@@ -303,8 +304,8 @@ def enforce_cancel(store: Store, job_id: str, *, patience_seconds: float) -> boo
         if session.scalar(select(FitRecord.id).where(mine, heeds_not)) is None:
             return False
     with store.writing() as session:
-        locked = select(FitRecord.checkpoint_key).where(mine).with_for_update()
-        condemn(session, session.scalars(locked))
+        locked = select(*PROVISIONAL).where(mine).with_for_update()
+        condemn(session, [key for keys in session.execute(locked) for key in keys])
         taken = session.scalar(
             update(FitRecord).where(mine).values(**ended("cancelled")).returning(FitRecord)
         )
@@ -326,30 +327,33 @@ def delete(store: Store, fit_id: str) -> None:
         jobs.refuse_if_used(
             session, "Fit", fit_id, LiftRecord, of_model, LiftRecord.up.is_not(None)
         )
-        keys = fit.reconstruction_key, fit.report_key, fit.checkpoint_key
+        keys = fit.reconstruction_key, fit.report_key, *provisional_keys(fit)
         return [key for key in keys if key is not None]
 
     jobs.delete(store, FitRecord, fit_id, forget)
 
 
 def ended(status: str) -> dict[str, Any]:
-    """Return the columns of a fit that ends now. It needs its checkpoint no more."""
+    """Return the columns of a fit that ends now, without checkpoint and first answer."""
     return {
         "status": status,
         "finished_at": clock.now(),
         "version": VERSION,
         "lease_expires_at": None,
-        "checkpoint_key": None,
+        "findings": None,
         "stored_bytes": 0,
+        "first_bytes": 0,
         "revision": FitRecord.revision + 1,
+        **{column.key: None for column in PROVISIONAL},
     }
 
 
 def _end(session: Session, fit: FitRecord, status: str, now: float) -> None:
-    condemn(session, [fit.checkpoint_key])
-    fit.status, fit.finished_at, fit.version = status, now, VERSION
-    fit.lease_expires_at = fit.checkpoint_key = None
-    fit.stored_bytes = 0
+    condemn(session, provisional_keys(fit))
+    for name, value in ended(status).items():
+        if name != "revision":  # which has grown
+            setattr(fit, name, value)
+    fit.finished_at = now
     webhooks.announce(session, fit)
 
 
@@ -361,28 +365,3 @@ def load_fitted(store: Store, fit: FitRecord) -> Capture:
     with store.reading() as session:
         corrected = corrections.of(session, FitRecord, fit.id)
     return datasets.load(store, fit.dataset_id, frames=fit.frames, corrected=corrected)
-
-
-def reconstruction_key(fit: FitRecord) -> str:
-    """Return where the reconstruction of a fit is; raise ``ConflictError`` if it has none."""
-    if fit.reconstruction_key is None:
-        raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
-    return fit.reconstruction_key
-
-
-def load_reconstruction(store: Store, fit: FitRecord) -> bytes:
-    """Return the reconstruction of a fit (safetensors).
-
-    Raises
-    ------
-    NotFoundError
-        If the fit was deleted since its record was read.
-    ConflictError
-        If it has none, for it did not succeed.
-    DamagedError
-        If it is not what was stored.
-    """
-    try:
-        return store.objects.get(reconstruction_key(fit))
-    except FileNotFoundError as error:
-        raise lost(store, FitRecord, fit.id, error) from error

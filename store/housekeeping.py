@@ -33,6 +33,8 @@ KEYS = (
     Chunk.key,
     FitRecord.checkpoint_key,
     FitRecord.reconstruction_key,
+    FitRecord.first_key,
+    FitRecord.first_model_key,
     FitRecord.report_key,
     LiftChunk.arrays_key,
     LiftChunk.lines_key,

@@ -31,6 +31,11 @@ def of_reconstruction(fit_id: str, data: bytes) -> str:
     return f"fits/{fit_id}/{new_id('reconstruction')}.{_checksum(data)}.safetensors"
 
 
+def of_first_model(fit_id: str, data: bytes) -> str:
+    """Return a new key for the model of a fit's first answer."""
+    return f"fits/{fit_id}/{new_id('model')}.{_checksum(data)}.safetensors"
+
+
 def of_report(fit_id: str, data: bytes) -> str:
     """Return a new key for the report on a fit."""
     return f"fits/{fit_id}/{new_id('report')}.{_checksum(data)}.json"

@@ -11,7 +11,7 @@ from store.account import RECORD_BYTES
 from store.array_files import GetRange
 from store.authors import author_of
 from store.database import Store
-from store.errors import DamagedError, NotFoundError, StoreError
+from store.errors import ConflictError, DamagedError, NotFoundError, StoreError
 from store.expectations import compare
 from store.labels import mentions, says, tagged
 from store.records import (
@@ -104,11 +104,24 @@ def resolved(
 def lost(
     store: Store, kind: type[Resource], identifier: str, missing: FileNotFoundError
 ) -> StoreError:
-    """Return the error of an object that is not there: its record was deleted meanwhile, or not."""
+    """Return the error of an object that is not there: its record was deleted, has gone on, or not.
+
+    A fit that goes on exchanges its first answer for another, and deletes it.
+    """
+    key = str(missing.filename)
     with store.reading() as session:
-        if session.get(kind, identifier) is None:
+        record = session.get(kind, identifier)
+        if record is None:
             return NotFoundError(kind.noun, identifier)
-    return DamagedError(str(missing.filename))
+        if isinstance(record, FitRecord) and key not in _objects_of(record):
+            return ConflictError(
+                f"Fit {identifier!r} has gone on and has another answer by now, or none: ask again."
+            )
+    return DamagedError(key)
+
+
+def _objects_of(fit: FitRecord) -> tuple[str | None, ...]:
+    return fit.reconstruction_key, fit.report_key, fit.first_key, fit.first_model_key
 
 
 def reader_of(store: Store, kind: type[Resource], identifier: str) -> GetRange:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.settings.uncertainty import Uncertainty, of_uncertainty
+from store.answers import reconstruction_key
 from store.array_files import Array, LaidOutFile, Span, npz_file, safetensors_header
 from store.capture_files import read_checksum
 from store.database import Store
-from store.fits import reconstruction_key
 from store.lift_files import DTYPES
 from store.lookup import lost
 from store.records import FitRecord
@@ -37,7 +37,7 @@ def reconstruction_file(
 ) -> LaidOutFile | None:
     """Return the reconstruction of a fit in a format; None for an older version's, which is less.
 
-    Raises as ``fits.load_reconstruction`` does.
+    Raises as ``answers.load_reconstruction`` does.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def reconstruction_parts(
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the arrays of a fit's reconstruction for some of its frames after others.
 
-    Raises as ``fits.load_reconstruction`` does.
+    Raises as ``answers.load_reconstruction`` does.
 
     Parameters
     ----------

@@ -149,6 +149,9 @@ class FitRecord(Job, Record):
     lease_expires_at: Mapped[float | None]
     checkpoint_key: Mapped[str | None]
     reconstruction_key: Mapped[str | None]
+    first_key: Mapped[str | None]  # the first answer's reconstruction, while the fit goes on
+    first_model_key: Mapped[str | None]  # and its model
+    first_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")  # of both
     report_key: Mapped[str | None]
     report_words: Mapped[str | None] = mapped_column(Text)  # of the report, its verdict
     model_id: Mapped[str | None] = mapped_column(index=True)

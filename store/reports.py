@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 from store.database import Store
 from store.errors import ConflictError
-from store.fits import reconstruction_key
 from store.lookup import lost
 from store.records import FitRecord
 
@@ -19,9 +18,10 @@ class Report(NamedTuple):
 def load_report(store: Store, fit: FitRecord) -> bytes:
     """Return the report on a fit (JSON).
 
-    Raises as ``fits.load_reconstruction`` does, and ``ConflictError`` if there is none.
+    Raises as ``answers.load_reconstruction`` does, and ``ConflictError`` if there is none.
     """
-    reconstruction_key(fit)
+    if fit.status != "succeeded":
+        raise ConflictError(f"Fit {fit.id!r} is {fit.status}: only a fit that succeeded has one.")
     if fit.report_key is None:
         raise ConflictError(
             f"There is no report on fit {fit.id!r}: an older version fitted it, or it could not be"

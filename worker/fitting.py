@@ -16,9 +16,9 @@ from models.calibrating.handedness import DECIDED
 from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.findings import advice
 from models.findings.finding import dumped, log_findings
-from models.lifting.film import Film, film_of
+from models.lifting.film import film_of
 from models.lifting.fitted_prior import FittedPrior
-from models.lifting.lift import LiftedFrames, join
+from models.lifting.lift import LiftedFrames
 from models.numerics.tensor_files import WeightsError
 from models.numerics.threads import use_cores, use_threads
 from models.settings.config import FitConfig
@@ -31,10 +31,11 @@ from store.errors import LeaseLostError
 from store.fits import load_fitted
 from store.records import DatasetRecord, FitRecord, ModelRecord
 from worker.cores import usable_cores
+from worker.first_answers import FirstAnswer, reconstruct, unless_away
 from worker.heartbeat import Heartbeat
 from worker.needs import gpu_pays
 from worker.outcomes import Outcomes, recorded
-from worker.patience import OUTAGES, is_outage, patiently
+from worker.patience import patiently
 from worker.reports import make_report
 from worker.rooms import best_frame
 from worker.settings import WorkerSettings
@@ -103,10 +104,13 @@ def _run(
             return False
         return True
 
+    shown = capture.keypoints, capture.confidence, times
+    first = FirstAnswer(store, attempt, trainer, shown)
+    waiting(partial(first.resume, fit))
     next_checkpoint = time.monotonic() + settings.checkpoint_seconds
     for progress in trainer.run():
         heartbeat.progress = _finite(asdict(progress))
-        if stopped():
+        if stopped() or not first.go_on(stopped):
             return
         # What goes on between steps would start over, and what comes after them ends by itself.
         between = progress.stage == "training" and progress.stopped_by is None
@@ -122,8 +126,8 @@ def _run(
             next_checkpoint = now + max(settings.checkpoint_seconds, CHECKPOINT_SHARE * took)
 
     prior = trainer.result()
-    film = film_of(prior, (capture.keypoints, capture.confidence, times))
-    lift = _reconstruct(film, stopped)
+    film = film_of(prior, shown)
+    lift = reconstruct(film, stopped)
     if lift is not None:
         succeed = partial(
             attempts.succeed,
@@ -161,16 +165,6 @@ def _describe(
     }
 
 
-def _reconstruct(film: Film, stopped: Callable[[], bool]) -> LiftedFrames | None:
-    """Lift every frame of the fitted capture; None if the attempt has to end before."""
-    lifts = []
-    for part in film.parts:
-        if stopped():
-            return None
-        lifts.append(film.lift(part))
-    return join(lifts)
-
-
 def _device(settings: WorkerSettings, capture: Capture, config: FitConfig) -> str:
     """Choose where to train."""
     if settings.fit_device != "auto":
@@ -187,18 +181,11 @@ def _load(store: Store, attempt: Attempt) -> tuple[FitRecord, DatasetRecord, Cap
 
 
 def _save_checkpoint(store: Store, attempt: Attempt, checkpoint: bytes) -> bool:
-    """Save a checkpoint, unless records or objects are away: the next will do as well.
-
-    Return whether it was saved.
-    """
-    try:
-        attempts.save_checkpoint(store, attempt, checkpoint)
-    except OUTAGES as error:
-        if not is_outage(error):
-            raise
-        logger.warning("Fit %s goes on without a checkpoint: %s", attempt.fit_id, error)
-        return False
-    return True
+    """Save a checkpoint, if that can be: the next will do as well. Return whether it was saved."""
+    return unless_away(
+        f"Fit {attempt.fit_id} goes on without a checkpoint",
+        partial(attempts.save_checkpoint, store, attempt, checkpoint),
+    )
 
 
 def _load_prior(store: Store, fit: FitRecord) -> FittedPrior | None:

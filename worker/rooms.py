@@ -14,10 +14,10 @@ from models.calibrating.result import CameraReport
 from models.lifting.lift import LiftedFrames
 from models.network.answers import NOT_IN_ROOM
 from models.settings.rooms import BestFrame, Up
-from store import fits, lookup
+from store import answers, lookup
 from store.database import Store
 from store.errors import ConflictError
-from store.records import FitRecord, ModelRecord
+from store.records import DatasetRecord, FitRecord, ModelRecord
 
 Arrays = dict[str, NDArray[Any]]
 Float64 = NDArray[np.float64]
@@ -80,25 +80,39 @@ def find_room(store: Store, model_id: str, cameras: CameraReport | None, up: Up 
     ConflictError
         If it has no static cameras, or `up` is to be estimated and cannot be.
     """
-    if cameras is None or not has_room(cameras):
-        arrangement = "unknown" if cameras is None else cameras.arrangement
-        raise ConflictError(
-            f"Model {model_id!r} has no room: none of its cameras is static (arrangement: "
-            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and static cameras."
-        )
+    known = _with_static(f"Model {model_id!r}", cameras)
     if up is None:
-        return Room(cameras.rotations, cameras.translations)
+        return Room(known.rotations, known.translations)
     model = lookup.get(store, ModelRecord, model_id)
-    frames = _fitted_frames(store, model, len(cameras.static))
+    frames = _fitted_frames(store, model, len(known.static))
     if up == "auto" and not len(frames["points3d"]):
         raise ConflictError(
             f"up: 'auto' is found from the frames of the fit, and model {model_id!r} has none: it "
             "was imported, or the fit was deleted. Give up as a vector (x, y, z)."
         )
-    try:
-        return _upright(cameras, frames, up, model.skeleton)
-    except ValueError as error:
-        raise ConflictError(f"up: {error}. Give it as a vector (x, y, z).") from error
+    return _upright(known, frames, model.skeleton, up)
+
+
+def find_first_room(
+    store: Store, fit: FitRecord, cameras: CameraReport | None, up: Up | None
+) -> Room:
+    """Return the room of a fit's first answer; see `find_room`."""
+    known = _with_static(f"The first answer of fit {fit.id!r}", cameras)
+    if up is None:
+        return Room(known.rotations, known.translations)
+    skeleton = lookup.get(store, DatasetRecord, fit.dataset_id).skeleton
+    return _upright(known, load(answers.load_reconstruction(store, fit)), skeleton, up)
+
+
+def _with_static(whose: str, cameras: CameraReport | None) -> CameraReport:
+    """Return cameras of which some are static; raise ``ConflictError`` if none is."""
+    if cameras is None or not has_room(cameras):
+        arrangement = "unknown" if cameras is None else cameras.arrangement
+        raise ConflictError(
+            f"{whose} has no room: none of its cameras is static (arrangement: "
+            f"{arrangement}). Ask for frame=canonical, or fit with `refine` and static cameras."
+        )
+    return cameras
 
 
 def has_room(cameras: CameraReport | None) -> bool:
@@ -113,32 +127,41 @@ def best_frame(
     if cameras is None or not has_room(cameras):
         return "canonical"
     try:
-        _upright(cameras, frames, "auto", skeleton)
-    except ValueError:
+        _upright(cameras, frames, skeleton, "auto")
+    except ConflictError:
         return "room"
     return "upright"
 
 
+def first_frame(store: Store, fit: FitRecord, cameras: CameraReport | None) -> BestFrame:
+    """Return the best frame of reference of a fit's first answer."""
+    skeleton = lookup.get(store, DatasetRecord, fit.dataset_id).skeleton
+    return best_frame(cameras, load(answers.load_reconstruction(store, fit)), skeleton)
+
+
 def _upright(
-    cameras: CameraReport, frames: Arrays, up: Up, skeleton: dict[str, Any] | None
+    cameras: CameraReport, frames: Arrays, skeleton: dict[str, Any] | None, up: Up
 ) -> Room:
-    room = in_rig(
-        frames["points3d"],
-        frames["rotations"],
-        frames["translations"],
-        frames["camera_models"],
-        cameras.rotations,
-        cameras.translations,
-        up=up,
-        keypoint_names=(skeleton or {}).get("keypoint_names"),
-    )
+    try:
+        room = in_rig(
+            frames["points3d"],
+            frames["rotations"],
+            frames["translations"],
+            frames["camera_models"],
+            cameras.rotations,
+            cameras.translations,
+            up=up,
+            keypoint_names=(skeleton or {}).get("keypoint_names"),
+        )
+    except ValueError as error:
+        raise ConflictError(f"up: {error}. Give it as a vector (x, y, z).") from error
     return Room(room.rotations, room.translations)
 
 
 def _fitted_frames(store: Store, model: ModelRecord, views: int) -> Arrays:
     """Return the reconstruction of a model's fit; no frames where there is none."""
     if model.fit_id is not None:
-        return load(fits.load_reconstruction(store, lookup.get(store, FitRecord, model.fit_id)))
+        return load(answers.load_reconstruction(store, lookup.get(store, FitRecord, model.fit_id)))
     return {
         "points3d": np.empty((0, model.keypoints, 3)),
         "rotations": np.empty((0, views, 3, 3)),

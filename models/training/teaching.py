@@ -151,7 +151,7 @@ class Teaching:
         """Return the prior as it stands, with handedness decided on the data of the fit."""
         found = self.self_calibration
         if found is None:
-            return self._as_prior(None, curve)
+            return self.as_prior(None, curve)
         found = self._with_network_errors(found, step)
         frames = self._frames_of_several_views(step)
         structures, lift = finished(
@@ -159,11 +159,11 @@ class Teaching:
         )
         if lift is not None:
             self.structure = learn_usual_structure(lift, found.shapes.mean)
-        prior = self._as_prior(found, curve, structures=structures)
+        prior = self.as_prior(found, curve, structures=structures)
         skeleton = self._learn_lengths(prior, found)
         if skeleton is None:
             return prior
-        prior = self._as_prior(found, curve, skeleton, structures)
+        prior = self.as_prior(found, curve, skeleton, structures)
         if structures is None:
             return prior
         # Lengths improve the structures, and so the sharpening of noisy frames by them.
@@ -171,11 +171,11 @@ class Teaching:
         truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
         if truer is None:
             return prior
-        return self._as_prior(found, curve, skeleton, truer._replace(believed=structures.believed))
+        return self.as_prior(found, curve, skeleton, truer._replace(believed=structures.believed))
 
     def usual(self) -> Usual:
         """Return the usual range of the frames of the fit, with the present network."""
-        return learn_usual(self._as_prior(None), self._data, self._unseen)
+        return learn_usual(self.as_prior(None), self._data, self._unseen)
 
     def posterior(self, shares_left: tuple[float, float]) -> Posterior | None:
         """Learn how far answers may be off; None without perspective cameras."""
@@ -183,15 +183,16 @@ class Teaching:
         if found is None or not len(frames):
             return None
         seen = self._data, self._detected, frames
-        return posterior_of(found, self._as_prior(found), *seen, shares_left)
+        return posterior_of(found, self.as_prior(found), *seen, shares_left)
 
-    def _as_prior(
+    def as_prior(
         self,
         self_calibration: SelfCalibration | None,
         curve: list[CurveRow] | None = None,
         skeleton: SkeletonLengths | None = None,
         structures: KnownStructures | None = None,
     ) -> FittedPrior:
+        """Return a prior with the present network and what is given."""
         foreshortening = self._foreshortening_of_network()
         if self_calibration is not None:
             foreshortening = abs(foreshortening) * (-1 if self.state.mirrored else 1)
@@ -253,7 +254,7 @@ class Teaching:
     def _find_cameras(self) -> Iterator[None]:
         """Estimate the cameras, if this is possible."""
         frames = self._frames_of_several_views(0)[: len(self._searched())]
-        prior = self._as_prior(None)
+        prior = self.as_prior(None)
         lift = prior.lift(self._data.pixels(frames), confidence=self._data.weights[frames])
         answers = weak_perspective(lift)
         result = yield from self._found_by(self._search(answers))
@@ -307,7 +308,7 @@ class Teaching:
         started = time.perf_counter()
         seed = [self._config.seed, step, 3]
         measured = learn_errors_of_network(
-            self_calibration, self._data, self._unseen, self._as_prior, seed=seed
+            self_calibration, self._data, self._unseen, self.as_prior, seed=seed
         )
         self.state.result_seconds = time.perf_counter() - started
         return measured
@@ -332,7 +333,7 @@ class Teaching:
         structures = lift = None
 
         def make_prior(known: KnownStructures | None) -> FittedPrior:
-            return self._as_prior(found, structures=known)
+            return self.as_prior(found, structures=known)
 
         for _ in range(ROUNDS if hidden > HIDDEN else 1):
             lift = yield from self._lifted(make_prior(structures), frames)

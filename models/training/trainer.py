@@ -2,8 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from numpy.typing import ArrayLike
@@ -39,6 +37,7 @@ from models.training.keypoints_of_fit import (
     usable_frames,
 )
 from models.training.learner import Learner, begin_with
+from models.training.progress import Progress, Stage, StoppedBy
 from models.training.schedule import Schedule
 from models.training.state import BestError, TrainerState
 from models.training.synchronising import put_in_step
@@ -51,22 +50,6 @@ PATIENCE, TOLERANCE = 0.1, 0.01
 HOLDOUT_CHECKS = 100  # measurements of the held-out error in a fit
 LAST_SHARE = 0.1  # of the steps, which a fit that stopped improving still takes
 TEACHER_SHARE = 3  # steps for each weak-perspective teacher at least, as each takes time
-
-StoppedBy = Literal["steps", "budget", "early"]
-Stage = Literal["training", "refining"]
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a fit stands after one optimiser step."""
-
-    step: int
-    steps: int
-    loss: float  # running mean over recent batches
-    reprojection_error: float  # pixels, running mean over recent batches
-    seconds_left: float | None  # None while no pace is known
-    stage: Stage = "training"
-    stopped_by: StoppedBy | None = None  # why the fit ended; None while it goes on
 
 
 class Trainer:
@@ -213,6 +196,24 @@ class Trainer:
         seen = self._seen.detected, self._times, self._held_out
         return with_posterior(learnt, posterior, *seen).mending(self._capture.mends)
 
+    @property
+    def has_first_answer(self) -> bool:
+        """Whether geometry found the cameras, so that frames can be lifted before training."""
+        return self._teaching.state.found_at_step == 0
+
+    def first_answer(self) -> FittedPrior:
+        """Return a prior with the cameras of geometry, whose network need not be taught yet.
+
+        It is there if `has_first_answer`. Lifts refine its guesses with all cameras; what is
+        usual, and known structures for hidden keypoints, it has not learnt.
+        """
+        self._state.clock.start()
+        prior = self._teaching.as_prior(self._teaching.self_calibration)
+        prior = prior.of_capture(self.config, self._capture, self._seen.outliers, self._removal)
+        posterior = attempt(self._teaching.posterior, None, self._removal.shares_left)
+        self._state.clock.count()
+        return prior if posterior is None else prior.with_posterior(posterior)
+
     def checkpoint(self) -> bytes:
         """Return everything needed to continue, as safetensors bytes."""
         saved = Checkpoint(
@@ -266,6 +267,8 @@ class Trainer:
             state.schedule = Schedule.of_settled(self.config, len(self._data.keypoints))
             state.refreshes_done = 1
             self._plan_within_budget()
+            yield self._progress("refining")  # here there is a first answer
+            state.clock.start()
 
     def _make_due_teachers(self) -> Iterator[Progress]:
         """Estimate the cameras and make the teachers that are due."""

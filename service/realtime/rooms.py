@@ -7,7 +7,7 @@ from models.settings.rooms import Up
 from service.http.errors import invalid
 from service.realtime.warm_models import WarmModel
 from store.database import Store
-from worker.rooms import Room, find_room
+from worker.rooms import Room, find_first_room, find_room
 
 MOST = 64  # rooms of a model kept at once, of a few hundred bytes each
 
@@ -40,7 +40,7 @@ class Rooms:
                 room = self.remembered(model, up)
                 if room is None:
                     source = model.fit_id
-                    room = find_room(self._store, model.id, model.prior.cameras, up)
+                    room = self._find(model, up)
                     if len(model.rooms) >= MOST:
                         model.rooms.clear()
                     model.rooms[source, up] = room
@@ -49,8 +49,13 @@ class Rooms:
     def remembered(self, model: WarmModel, up: Up | None) -> Room | None:
         """Return a room that needs no reading of records; None if it does."""
         if up is None:
-            return find_room(self._store, model.id, model.prior.cameras, None)
+            return self._find(model, None)
         return model.rooms.get((model.fit_id, up))
+
+    def _find(self, model: WarmModel, up: Up | None) -> Room:
+        if model.first_of is not None:
+            return find_first_room(self._store, model.first_of, model.prior.cameras, up)
+        return find_room(self._store, model.id, model.prior.cameras, up)
 
 
 def check_known(room: Room, views: list[int] | None, count: int) -> None:

@@ -13,15 +13,16 @@ import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
 from models.settings.rooms import BestFrame, Up
-from store import aliases, lookup, models
+from store import aliases, answers, lookup, models
 from store.database import Store
 from store.errors import NotFoundError
-from store.records import ModelRecord
-from worker.rooms import Room, has_room
+from store.records import FitRecord, ModelRecord
+from worker.rooms import Room, first_frame, has_room
 
 logger = logging.getLogger(__name__)
 
 LOOK_SECONDS = 1.0  # between two looks at the records
+MOST_FIRST = 4  # models of first answers kept at once
 
 
 @dataclass(eq=False, slots=True, weakref_slot=True)
@@ -40,6 +41,8 @@ class WarmModel:
         It was deleted, by any process, and must not be used any more.
     rooms
         Its known rooms, by the fit that they were estimated from and by up.
+    first_of
+        The fit whose first answer it is of, before there is a model; nothing is lifted with it.
     """
 
     id: str
@@ -52,6 +55,7 @@ class WarmModel:
     ready: bool = False
     gone: bool = False
     rooms: dict[tuple[str | None, Up | None], Room] = field(default_factory=dict)
+    first_of: FitRecord | None = None
 
     @property
     def best_frame(self) -> BestFrame:
@@ -75,6 +79,7 @@ class WarmModels:
         self._max_bytes = max_bytes
         self._used: WeakValueDictionary[str, WarmModel] = WeakValueDictionary()  # also by streams
         self._kept: OrderedDict[str, WarmModel] = OrderedDict()
+        self._first: OrderedDict[str, WarmModel] = OrderedDict()  # of first answers, by their key
         self._lock = threading.Lock()
         self._loading: dict[str, threading.Lock] = {}
         self._aliases: dict[tuple[str, str], str] = {}  # by project and name
@@ -135,6 +140,28 @@ class WarmModels:
             loading = self._loading.setdefault(model_id, threading.Lock())
         with loading:
             return self._in_memory(project, model_id) or self._load(project, model_id)
+
+    def first(self, fit: FitRecord) -> WarmModel:
+        """Return the model of a fit's first answer, for its cameras and its room.
+
+        Raises
+        ------
+        NotFoundError, ConflictError
+            If the fit was deleted, or has ended since its record was read.
+        """
+        key = str(fit.first_model_key)
+        with self._lock:
+            model = self._first.get(key)
+        if model is None:
+            data = answers.load_first_model(self._store, fit)
+            prior = FittedPrior.from_bytes(data)
+            model = WarmModel(fit.id, fit.project, prior, key, len(data), fit.id, first_of=fit)
+            model.measured_frame = first_frame(self._store, fit, prior.cameras)
+            with self._lock:
+                self._first[key] = model
+                while len(self._first) > MOST_FIRST:
+                    self._first.popitem(last=False)
+        return model
 
     def look(self) -> None:
         """Read now where aliases point to, after a change that this process has made."""

@@ -1,7 +1,7 @@
 """Animations: the structures of a fit as files of biomechanics and of graphics."""
 
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Request
@@ -18,6 +18,7 @@ from service.resources.reconstructions import (
     FramesQuery,
     frames_of,
     model_of,
+    room_of,
     stored_arrays,
     stored_frames,
 )
@@ -25,6 +26,7 @@ from service.wire.animations import AnimationFormat, LengthUnit, animation_file
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.skeletons import Skeleton
 from store import datasets, lookup, records
+from store.answers import answer_stage, reconstruction_key
 from store.database import Store
 from store.errors import NotFoundError
 
@@ -77,21 +79,20 @@ def download_animation(
     Tools expect y up, as with `frame=room&up=auto`. Keypoints have the names of the model's
     skeleton. Times are those of the dataset, or else 30 frames/s.
     """
-    model = lookup.get(store, records.ModelRecord, model_of(fit))
+    keypoints, named = _described(fit, store)
     wanted = range(fit.frames) if frames is None else frames_of(fit, frames)
-    if len(wanted) * model.keypoints > MOST_POINTS:
+    if len(wanted) * keypoints > MOST_POINTS:
         raise invalid(
             "/frames",
             f"expected {MOST_POINTS} points at most, frames times keypoints, got "
-            f"{len(wanted)} x {model.keypoints}: ask for a part, such as "
-            f"frames=0:{MOST_POINTS // model.keypoints}",
+            f"{len(wanted)} x {keypoints}: ask for a part, such as "
+            f"frames=0:{MOST_POINTS // keypoints}",
         )
     found = stored_arrays(fit, store) if frames is None else stored_frames(store, fit, frames)
     direction = read_up(up)
     if is_room(frame, direction):
-        warm = engine.models.read(store.project, model.id)
-        found = rooms.find(warm, direction).place_arrays(found)
-    skeleton = Skeleton.model_validate(model.skeleton or {})
+        found = room_of(fit, store, engine, rooms, direction).place_arrays(found)
+    skeleton = Skeleton.model_validate(named or {})
     fps, times = _moments(fit, store, wanted)
     file = animation_file(
         found["points3d"],
@@ -104,6 +105,17 @@ def download_animation(
     )
     filename = f"{fit.id}{file.suffix}"
     return bytes_response(request, file.content, media_type=OCTETS, filename=filename)
+
+
+def _described(fit: records.FitRecord, store: Store) -> tuple[int, dict[str, Any] | None]:
+    """Return the keypoints of a fit's answer, and their skeleton."""
+    described: records.DatasetRecord | records.ModelRecord
+    if answer_stage(fit) == "geometry":
+        described = lookup.get(store, records.DatasetRecord, fit.dataset_id)
+    else:
+        reconstruction_key(fit)
+        described = lookup.get(store, records.ModelRecord, model_of(fit))
+    return described.keypoints, described.skeleton
 
 
 def _moments(

@@ -36,7 +36,9 @@ from service.wire.corrections import CorrectionsState
 from service.wire.findings import Findings
 from service.wire.json_bodies import read_json
 from service.wire.schemas import Name
+from service.wire.stages import STAGES, AnswerStage
 from store import fits, lookup, records
+from store.answers import answer_stage
 from store.database import Store
 from store.labels import Labels, Text, labels_of
 from worker.queue import open_queues
@@ -147,6 +149,7 @@ class Fit(BaseModel):
                 "created_at": "2026-03-01T09:31:00Z",
                 "started_at": "2026-03-01T09:31:01Z",
                 "finished_at": None,
+                "answer_stage": "geometry",
                 "model_id": None,
                 "version": None,
                 "error": None,
@@ -178,6 +181,9 @@ class Fit(BaseModel):
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+    answer_stage: AnswerStage | None = Field(
+        None, description=f"Of its reconstruction; null while there is none. {STAGES}"
+    )
     model_id: str | None
     version: str | None = Field(
         description="Version of Fewview that made or ended it; null while it goes on, and if an "
@@ -210,6 +216,7 @@ class Fit(BaseModel):
                 "created_at": record.created_at,
                 "started_at": record.started_at,
                 "finished_at": record.finished_at,
+                "answer_stage": answer_stage(record),
                 "model_id": record.model_id,
                 "version": record.version,
                 "error": record.error,

@@ -3,9 +3,9 @@
 import subprocess
 from collections.abc import AsyncIterator
 from datetime import datetime
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from fastapi import APIRouter, Depends, Query, Request, Response, status
+from fastapi import APIRouter, Depends, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
 
 from models.findings.finding import dumped
@@ -28,15 +28,11 @@ from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
 from service.resources.lists import Page, add_list_routes, page_of
-from service.wire.calibrations import MEDIA_TYPES, CalibrationFormat, calibration_file
-from service.wire.cameras import ModelCameras
 from service.wire.findings import EXAMPLE_FINDINGS, Findings
 from service.wire.model_files import ModelDescription, described, taken_apart
 from service.wire.schemas import Name
 from service.wire.skeletons import Skeleton
 from store import aliases, lookup, models, records
-from store.database import Store
-from store.errors import NotFoundError
 from store.labels import Labels, labels_of
 from worker.process import python, tied
 
@@ -187,59 +183,6 @@ def get_model(model_id: Identifier, store: StoreDep, response: Response) -> Mode
     record = lookup.get(store, records.ModelRecord, model_id)
     response.headers["ETag"] = etag_of(record)
     return Model.of(record)
-
-
-@router.get(
-    "/{model_id}/cameras",
-    response_model=ModelCameras,
-    responses=problems("not_found", "conflict", "range_not_satisfiable")
-    | file_responses("The cameras, as JSON or as a calibration file.", *MEDIA_TYPES),
-)
-def get_model_cameras(
-    model_id: Identifier,
-    request: Request,
-    engine: EngineDep,
-    store: StoreDep,
-    format: Annotated[
-        CalibrationFormat,
-        Query(
-            description="`json`, or the calibration file of another tool: `anipose` (TOML), "
-            "`opencv` (YAML) or `colmap` (its text files in a zip). Cameras that move have no "
-            "pose there. They are called as the dataset's views. Anipose and COLMAP need its image "
-            "sizes."
-        ),
-    ] = "json",
-) -> Response | ModelCameras:
-    """Return the cameras that the fit estimated, with standard deviations and reasons.
-
-    A model that was fitted without refinement has the arrangement `unknown`.
-    """
-    model = engine.models.read(store.project, model_id)
-    cameras = ModelCameras.of(model.id, model.prior.cameras, model.best_frame)
-    if format == "json":
-        return cameras
-    try:
-        file = calibration_file(cameras, format, *_names_and_sizes(store, model.id))
-    except ValueError as error:
-        raise ApiError("conflict", f"{error}; format=json has everything that is known") from error
-    return bytes_response(
-        request, file.content, media_type=file.media_type, filename=f"{model.id}-{file.filename}"
-    )
-
-
-def _names_and_sizes(
-    store: Store, model_id: str
-) -> tuple[list[str] | None, list[tuple[int, int] | None] | None]:
-    """Return names and (width, height) of the views, None if no dataset has them."""
-    dataset_id = lookup.get(store, records.ModelRecord, model_id).dataset_id
-    if dataset_id is None:
-        return None, None
-    try:
-        dataset = lookup.get(store, records.DatasetRecord, dataset_id)
-    except NotFoundError:
-        return None, None
-    sizes = [None if size is None else (size[0], size[1]) for size in dataset.image_sizes or ()]
-    return dataset.view_names or None, sizes or None
 
 
 @router.get(

@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from models.lifting.film import film_of
 from models.settings.config import Refine
+from models.settings.rooms import Up
 from models.settings.uncertainty import Uncertainty, of_uncertainty
 from service.http.dependencies import SettingsDep, StoreDep
 from service.http.downloads import ranged_response, streamed_response
@@ -19,7 +20,10 @@ from service.http.errors import invalid, problems
 from service.http.negotiation import NPZ, OCTETS
 from service.http.operations import file_responses
 from service.realtime.dependencies import EngineDep, RoomsDep
+from service.realtime.engine import Engine
 from service.realtime.lift import RefineQuery, UncertaintyQuery, answer_bytes
+from service.realtime.rooms import Rooms
+from service.realtime.warm_models import WarmModel
 from service.resources.fits import FitDep
 from service.wire.arrays import Arrays
 from service.wire.findings import FindingForm, Findings
@@ -33,11 +37,14 @@ from service.wire.representations import (
 )
 from service.wire.rooms import FrameQuery, UpQuery, is_room, read_up
 from service.wire.schemas import LIFTED_FRAME, LiftedFrame
-from store import datasets, fits, lookup, records
+from service.wire.stages import STAGES, AnswerStage
+from store import answers, datasets, fits, lookup, records
+from store.answers import answer_stage, reconstruction_key
 from store.array_files import safetensors_arrays
+from store.database import Store
 from store.errors import ConflictError
-from store.fits import reconstruction_key
 from store.reconstruction_files import reconstruction_file, reconstruction_parts
+from worker.rooms import Room
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
@@ -63,6 +70,7 @@ class Reconstruction(BaseModel):
                 "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
                 "model_id": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
                 "dataset_id": "ds_01m7yspdypmt22jq6npfg62xe5",
+                "stage": "network",
                 "frames": [LIFTED_FRAME],
                 "findings": [],
             }
@@ -72,6 +80,7 @@ class Reconstruction(BaseModel):
     fit_id: str
     model_id: str | None
     dataset_id: str
+    stage: AnswerStage = Field(description=STAGES)
     frames: list[LiftedFrame]
     findings: Findings = Field(description="Of the fit.")
 
@@ -142,6 +151,10 @@ def get_reconstruction(
     have the unit of each frame's first view: if that view moves while others are static, the unit
     differs from frame to frame. In the room there is one unit.
 
+    While the network is still taught, the answer is that of geometry, if static cameras were
+    found: `stage` is `geometry` (in the metadata of safetensors, too), and `answer_stage` of the
+    fit.
+
     With the fit's own `refine`, or without, the stored reconstruction is returned. With another
     `refine`, and with `uncertainty=full`, the frames are lifted for this request, by the fit's
     model, which takes longer. `full` adds `points3d_covariance` (N, P, 6), the covariance C of each
@@ -152,15 +165,14 @@ def get_reconstruction(
         "fit_id": fit.id,
         "model_id": fit.model_id,
         "dataset_id": fit.dataset_id,
+        "stage": answer_stage(fit),
     }
     findings = [FindingForm.model_validate(finding) for finding in fit.findings or []]
     filename = f"{fit.id}-reconstruction"
     direction = read_up(up)
     in_room = is_room(frame, direction)
     chosen, wanted = chosen_format(request, format), uncertainty or "sd"
-    room = (
-        rooms.find(engine.models.read(store.project, model_of(fit)), direction) if in_room else None
-    )
+    room = room_of(fit, store, engine, rooms, direction) if in_room else None
     if frames is not None:
         _check_is_stored(fit, refine, uncertainty)
         found = of_uncertainty(stored_frames(store, fit, frames), wanted)
@@ -252,7 +264,7 @@ def _is_stored(
 
 def stored_arrays(fit: records.FitRecord, store: StoreDep) -> Arrays:
     """Return the reconstruction that a fit stored, in canonical frames."""
-    return _completed(safetensors_arrays(fits.load_reconstruction(store, fit)))
+    return _completed(safetensors_arrays(answers.load_reconstruction(store, fit)))
 
 
 def _completed(arrays: Arrays) -> Arrays:
@@ -328,8 +340,33 @@ def _check_size(
 def model_of(fit: records.FitRecord) -> str:
     """Return the identifier of a fit's model; raise ``ConflictError`` if it has none."""
     if fit.model_id is None:
+        going_on = fit.status in ("queued", "running")
+        why = (
+            "they are there when it has succeeded"
+            if going_on
+            else ("it has not succeeded, or the model was deleted")
+        )
         raise ConflictError(
             f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with, nor its cameras: "
-            "it has not succeeded, or the model was deleted."
+            f"{why}."
         )
     return fit.model_id
+
+
+def answering(fit: records.FitRecord, store: Store, engine: Engine) -> WarmModel:
+    """Return the model that the answer of a fit is of, also that of its first answer.
+
+    Raises ``ConflictError`` if there is none.
+    """
+    if answer_stage(fit) == "geometry":
+        return engine.models.first(fit)
+    if fit.model_id is None:
+        reconstruction_key(fit)
+    return engine.models.read(store.project, model_of(fit))
+
+
+def room_of(
+    fit: records.FitRecord, store: Store, engine: Engine, rooms: Rooms, up: Up | None
+) -> Room:
+    """Return the room of a fit's answer; raise ``ConflictError`` if there is none."""
+    return rooms.find(answering(fit, store, engine), up)

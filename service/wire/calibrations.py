@@ -15,7 +15,7 @@ from typing_extensions import TypeAliasType
 
 from models.settings.calibration import Camera
 from models.settings.keypoints import MAX_VIEWS
-from service.wire.cameras import ModelCameras
+from service.wire.cameras import FitCameras, ModelCameras
 
 CalibrationFormat = TypeAliasType(
     "CalibrationFormat", Literal["json", "anipose", "opencv", "colmap"]
@@ -89,7 +89,7 @@ class CalibrationFile(NamedTuple):
 
 
 def calibration_file(
-    cameras: ModelCameras,
+    cameras: ModelCameras | FitCameras,
     format: str,
     names: Sequence[str] | None,
     sizes: Sequence[Size | None] | None,

@@ -12,6 +12,8 @@ from models.settings.calibration import LiftedLensName
 from models.settings.rooms import BestFrame
 from service.wire.findings import Findings
 from service.wire.schemas import Distortion, Rotation, Vector2, Vector3
+from service.wire.stages import STAGES, AnswerStage
+from store.records import FitRecord
 
 FoundArrangement = TypeAliasType(
     "FoundArrangement", Literal["static", "moving", "mixed", "unknown"]
@@ -57,61 +59,50 @@ class FoundView(BaseModel):
     )
 
 
-class ModelCameras(BaseModel):
-    """The cameras that a fit estimated.
+_EXAMPLE: dict[str, Any] = {
+    "arrangement": "mixed",
+    "reason": "View 0 keeps its place to 0.02 units over 400 frames; view 1 moves.",
+    "findings": [EXAMPLE_FINDING],
+    "noise": 1.9,
+    "frame_of_reference": "upright",
+    "views": [
+        {
+            "index": 0,
+            "camera": "perspective",
+            "static": True,
+            "focal": [1104.5, 1104.5],
+            "focal_sd": 6.2,
+            "principal_point": [640.0, 512.0],
+            "principal_point_sd": [0.0, 0.0],
+            "distortion": [-0.11, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            "distortion_sd": [0.01, 0.02],
+            "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "rotation_sd": 0.0,
+            "translation": [0.0, 0.0, 0.0],
+            "translation_sd": [0.0, 0.0, 0.0],
+            "reprojection_error": 2.4,
+        },
+        {
+            "index": 1,
+            "camera": "perspective",
+            "static": False,
+            "focal": [1098.1, 1098.1],
+            "focal_sd": 11.0,
+            "principal_point": [640.0, 512.0],
+            "principal_point_sd": [0.0, 0.0],
+            "distortion": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            "distortion_sd": [0.0, 0.0],
+            "rotation": None,
+            "rotation_sd": None,
+            "translation": None,
+            "translation_sd": None,
+            "reprojection_error": 2.6,
+        },
+    ],
+}
 
-    Static cameras share one frame of reference: that of the first of them, or the one in which
-    their poses were given.
-    """
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "example": {
-                "model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr",
-                "arrangement": "mixed",
-                "reason": "View 0 keeps its place to 0.02 units over 400 frames; view 1 moves.",
-                "findings": [EXAMPLE_FINDING],
-                "noise": 1.9,
-                "frame_of_reference": "upright",
-                "views": [
-                    {
-                        "index": 0,
-                        "camera": "perspective",
-                        "static": True,
-                        "focal": [1104.5, 1104.5],
-                        "focal_sd": 6.2,
-                        "principal_point": [640.0, 512.0],
-                        "principal_point_sd": [0.0, 0.0],
-                        "distortion": [-0.11, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                        "distortion_sd": [0.01, 0.02],
-                        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-                        "rotation_sd": 0.0,
-                        "translation": [0.0, 0.0, 0.0],
-                        "translation_sd": [0.0, 0.0, 0.0],
-                        "reprojection_error": 2.4,
-                    },
-                    {
-                        "index": 1,
-                        "camera": "perspective",
-                        "static": False,
-                        "focal": [1098.1, 1098.1],
-                        "focal_sd": 11.0,
-                        "principal_point": [640.0, 512.0],
-                        "principal_point_sd": [0.0, 0.0],
-                        "distortion": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                        "distortion_sd": [0.0, 0.0],
-                        "rotation": None,
-                        "rotation_sd": None,
-                        "translation": None,
-                        "translation_sd": None,
-                        "reprojection_error": 2.6,
-                    },
-                ],
-            }
-        }
-    )
-
-    model: str
+class _Cameras(BaseModel):
     arrangement: FoundArrangement = Field(
         description="`mixed`: some are static and some move; `unknown`: cameras were not estimated."
     )
@@ -136,50 +127,91 @@ class ModelCameras(BaseModel):
     )
     views: list[FoundView] = Field(description="Of the fit, in its order; none if unknown.")
 
+
+class ModelCameras(_Cameras):
+    """The cameras that a fit estimated.
+
+    Static cameras share one frame of reference: that of the first of them, or the one in which
+    their poses were given.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={"example": {"model": "mdl_01m7ysqde9xx2qq81h8t3gh6xr", **_EXAMPLE}}
+    )
+
+    model: str
+
     @classmethod
     def of(cls, model_id: str, found: CameraReport | None, frame: BestFrame) -> Self:
         """Return the wire form of what a model's fit found."""
-        if found is None:
-            return cls(
-                model=model_id,
-                arrangement="unknown",
-                reason=UNKNOWN,
-                findings=[],
-                noise=None,
-                frame_of_reference=frame,
-                views=[],
-            )
-        views = [
-            {
-                "index": view,
-                "camera": found.camera_models[view],
-                "static": bool(found.static[view]),
-                "focal": _known(found.focals[view]),
-                "focal_sd": _known(found.focal_sds[view]),
-                "principal_point": _known(found.principal_points[view]),
-                "principal_point_sd": _known(found.principal_point_sds[view]),
-                "distortion": _known(found.distortions[view]),
-                "distortion_sd": _known(found.distortion_sds[view]),
-                "rotation": _known(found.rotations[view]),
-                "rotation_sd": _known(found.rotation_sds[view]),
-                "translation": _known(found.translations[view]),
-                "translation_sd": _known(found.translation_sds[view]),
-                "reprojection_error": _known(found.reprojection_errors[view]),
+        return cls.model_validate({"model": model_id, **_fields_of(found, frame)})
+
+
+class FitCameras(_Cameras):
+    """The cameras that a fit has estimated by now, as of its model when it has succeeded."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "fit_id": "fit_01m7yspf3gqz6cz1v8e7ch3y7c",
+                "model": None,
+                "stage": "geometry",
+                **_EXAMPLE,
             }
-            for view in range(len(found.static))
-        ]
-        return cls.model_validate(
-            {
-                "model": model_id,
-                "arrangement": found.arrangement,
-                "reason": found.reason,
-                "findings": list(found.findings),
-                "noise": _known(found.noise),
-                "frame_of_reference": frame,
-                "handedness_certainty": _known(found.handedness_certainty),
-                "views": views,
-            }
-        )
+        }
+    )
+
+    fit_id: str
+    model: str | None = Field(description="Null while the fit goes on.")
+    stage: AnswerStage = Field(description=STAGES)
+
+    @classmethod
+    def of(
+        cls, fit: FitRecord, stage: AnswerStage, found: CameraReport | None, frame: BestFrame
+    ) -> Self:
+        """Return the wire form of what a fit found."""
+        about = {"fit_id": fit.id, "model": fit.model_id, "stage": stage}
+        return cls.model_validate({**about, **_fields_of(found, frame)})
+
+
+def _fields_of(found: CameraReport | None, frame: BestFrame) -> dict[str, Any]:
+    if found is None:
+        return {
+            "arrangement": "unknown",
+            "reason": UNKNOWN,
+            "findings": [],
+            "noise": None,
+            "frame_of_reference": frame,
+            "views": [],
+        }
+    views = [
+        {
+            "index": view,
+            "camera": found.camera_models[view],
+            "static": bool(found.static[view]),
+            "focal": _known(found.focals[view]),
+            "focal_sd": _known(found.focal_sds[view]),
+            "principal_point": _known(found.principal_points[view]),
+            "principal_point_sd": _known(found.principal_point_sds[view]),
+            "distortion": _known(found.distortions[view]),
+            "distortion_sd": _known(found.distortion_sds[view]),
+            "rotation": _known(found.rotations[view]),
+            "rotation_sd": _known(found.rotation_sds[view]),
+            "translation": _known(found.translations[view]),
+            "translation_sd": _known(found.translation_sds[view]),
+            "reprojection_error": _known(found.reprojection_errors[view]),
+        }
+        for view in range(len(found.static))
+    ]
+    return {
+        "arrangement": found.arrangement,
+        "reason": found.reason,
+        "findings": list(found.findings),
+        "noise": _known(found.noise),
+        "frame_of_reference": frame,
+        "handedness_certainty": _known(found.handedness_certainty),
+        "views": views,
+    }
 
 
 def _known(value: Any) -> Any:

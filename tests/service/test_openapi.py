@@ -26,6 +26,7 @@ from service.realtime import lift
 from service.resources import (
     aliases,
     audit,
+    cameras,
     corrections,
     datasets,
     evaluations,
@@ -49,6 +50,7 @@ from tests.service.conftest import CONFIG, Live, frames_of, to_npz
 
 # Where the forms of answers are.
 MODULES = (
+    cameras,
     corrections,
     datasets,
     previews,
@@ -149,6 +151,7 @@ def test_operations_read_like_methods(spec: dict[str, Any]) -> None:
         "evaluate",
         "get_dataset",
         "get_fit",
+        "get_fit_cameras",
         "get_key",
         "get_labels",
         "get_lift",

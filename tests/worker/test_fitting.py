@@ -12,7 +12,7 @@ from models.lifting import film
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from models.training.trainer import Trainer
-from store import attempts, datasets, fits, lookup, models
+from store import answers, attempts, datasets, fits, lookup, models
 from store.capture import Capture
 from store.database import Store
 from store.datasets import CaptureDescription
@@ -70,7 +70,7 @@ def test_slices_make_the_whole(
 ) -> None:
     fit = run(store, capture, monkeypatch)
     assert fit.status == "succeeded"
-    found = load(fits.load_reconstruction(store, fit))
+    found = load(answers.load_reconstruction(store, fit))
     assert fit.model_id is not None
     prior = FittedPrior.from_bytes(
         models.load_weights(store, lookup.get(store, ModelRecord, fit.model_id))

@@ -1,7 +1,7 @@
 """Fits: jobs that turn a dataset into a model."""
 
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fewview.api.arrays import SAFETENSORS
 from fewview.api.calibrations import Calibration, in_request_form
-from fewview.api.forms import Dataset, Fit, Model, form_in
+from fewview.api.forms import Cameras, Dataset, Fit, Model, form_in
 from fewview.api.jobs import Jobs
 from fewview.api.label_forms import FitLabels
 from fewview.api.lifting import Lift, identifier, room_query
@@ -84,6 +84,32 @@ class Fits(Jobs[Driver, Fit]):
         )
 
     @operation
+    def wait_for_answer(
+        self, fit: Fit | str, *, on_progress: Callable[[Fit], object] | None = None
+    ) -> Steps[Fit]:
+        """Wait until a fit has its first answer, else until it has succeeded; return it then.
+
+        Where geometry finds static cameras, reconstruction, cameras and findings are there while
+        the network is still taught: ``answer_stage`` is ``geometry``. Raises as `wait` does.
+        """
+        return self._wait(
+            identifier(fit), on_progress, lambda found: found.answer_stage is not None
+        )
+
+    @operation
+    def cameras(self, fit: Fit | str) -> Steps[Cameras]:
+        """Return the cameras that a fit has estimated by now.
+
+        Raises
+        ------
+        Conflict
+            It has neither a first answer nor a model.
+        """
+        return self._call(
+            Request("GET", path("fits", identifier(fit), "cameras"), form_in(Cameras))
+        )
+
+    @operation
     def reconstruction(
         self,
         fit: Fit | str,
@@ -107,7 +133,7 @@ class Fits(Jobs[Driver, Fit]):
         Raises
         ------
         Conflict
-            The fit has not succeeded, or none of its cameras is static and there is no room.
+            The fit has no answer yet, or none of its cameras is static and there is no room.
         """
         where = path("fits", identifier(fit), "reconstruction")
         headers = {"Accept": SAFETENSORS}

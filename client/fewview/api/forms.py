@@ -158,11 +158,15 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Fit(Job):
-    """A job that turns a dataset into a model; ``model_id`` and ``verdict`` come with success."""
+    """A job that turns a dataset into a model; ``model_id`` and ``verdict`` come with success.
+
+    ``answer_stage`` is ``geometry`` when it has a first answer, ``network`` when it has succeeded.
+    """
 
     config: dict[str, Any] | None = None
     from_model: str | None = None
     progress: FitProgress | None = None
+    answer_stage: str | None = None
     model_id: str | None = None
     version: str | None = None  # of Fewview that made or ended it
     verdict: Verdict | None = None
@@ -267,9 +271,11 @@ class Cameras:
         ``static``, ``moving``, ``mixed`` or ``unknown``; ``reason`` explains it.
     noise
         Pixels, the standard deviation of a keypoint's coordinate.
+    model
+        None of a fit that goes on.
     """
 
-    model: str
+    model: str | None
     arrangement: str
     reason: str
     noise: float | None

@@ -51,17 +51,23 @@ class Jobs(Stored[Driver, J]):
         ConnectionFailed
             The service was away for longer than the client's ``patience``.
         """
-        following = _Following(identifier(job), on_progress or ignore)
+        return self._wait(identifier(job), on_progress, lambda found: found.ended)
+
+    def _wait(
+        self, job_id: str, on_progress: Callable[[J], object] | None, enough: Callable[[J], bool]
+    ) -> Steps[J]:
+        """Wait until a job has ended, or is what is waited for."""
+        following = _Following(job_id, on_progress or ignore, enough)
         failures = 0
         while True:
             if failures < MOST_TRIES:
                 heard = yield from self._hear(following)
                 failures = 0 if heard else failures + 1
-            if following.job is None or not following.job.ended:
+            if not following.over:
                 following.notify((yield from self._call(self._get(following.job_id))))
             found: J = following.job
-            if found.ended:
-                return _succeeded(found)
+            if following.over:
+                return _succeeded(found) if found.ended else found
             yield Sleep(pause_before(failures + 2))
 
     def _hear(self, following: "_Following") -> Steps[bool]:
@@ -76,7 +82,7 @@ class Jobs(Stored[Driver, J]):
             while (event := (yield Read())) is not None:
                 heard, following.last_event = True, event.id
                 following.notify(read(self._form, json.loads(event.data)))
-                if event.event == "end":
+                if event.event == "end" or following.over:
                     break
         except NotFound:
             raise
@@ -88,10 +94,17 @@ class Jobs(Stored[Driver, J]):
 class _Following:
     """What is known of a job that is waited for."""
 
-    def __init__(self, job_id: str, on_progress: Callable[[Any], object]) -> None:
-        self.job_id, self._on_progress = job_id, on_progress
+    def __init__(
+        self, job_id: str, on_progress: Callable[[Any], object], enough: Callable[[Any], bool]
+    ) -> None:
+        self.job_id, self._on_progress, self._enough = job_id, on_progress, enough
         self.job: Any = None
         self.last_event = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether the job has ended, or is what is waited for."""
+        return self.job is not None and (self.job.ended or self._enough(self.job))
 
     def notify(self, job: Job) -> None:
         """Pass on a job that has changed."""

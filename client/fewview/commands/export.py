@@ -93,7 +93,7 @@ def formats_in(text: str) -> list[str]:
 def in_words(result: dict[str, Any]) -> str:
     """Return what was written, and what was noticed, as lines for people."""
     lines = [
-        f"model      {result['model']}",
+        f"model      {result['model'] or 'comes at the end'}",
         f"cameras    {result['arrangement']}",
         f"frames     {result['frames']}, {result['in_room']} of them in one room",
         f"error      {result['reprojection_error']:.2f} px from the keypoints, mean",

@@ -67,6 +67,14 @@ def run(
         list[str] | None,
         typer.Option("--config", "-c", help="Of the fit, as `fewview fit` takes it; may repeat."),
     ] = None,
+    first: Annotated[
+        bool,
+        typer.Option(
+            "--first",
+            help="Write the first answer, of geometry, as soon as it is there; go on to the end, "
+            "which replaces its files.",
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Read, upload, fit, and write animation, cameras and model; if run again, it continues."""
@@ -101,7 +109,8 @@ def run(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # the service is stopped then, too
     try:
         unit = unit or ("m" if known_length or known_distance else None)
-        done = _run(capture, output, url, fields, chosen, unit, height, quiet=as_json)
+        asked = capture, output, url, fields, chosen, unit, height
+        done = _run(*asked, first=first, quiet=as_json)
     except (FewviewError, OSError, ValueError) as error:
         _end(in_short(error), WRONGLY_ASKED if isinstance(error, InvalidRequest) else FAILED)
     except KeyboardInterrupt:
@@ -119,6 +128,7 @@ def _run(
     unit: "Unit | None",
     height: float | None,
     *,
+    first: bool,
     quiet: bool,
 ) -> dict[str, Any]:
     from fewview.client import Client  # noqa: PLC0415
@@ -143,12 +153,27 @@ def _run(
         key = None if url is not None else token_in(data) or ""
         client = stack.enter_context(Client(address, key))
 
+        def written(fit: "Fit", capture: "Capture") -> dict[str, Any]:
+            return export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
+
         def fit_of(capture: "Capture", config: dict[str, Any], file: str) -> "Fit":
             notes = Notes.of(folder / file, digest_of(capture, config, url))
             name = folder.absolute().name
+
+            def write_first(fit: "Fit") -> None:
+                done = written(fit, capture)
+                if not quiet:
+                    echo(f"the first answer, of geometry:\n{result_in_words(done)}")
+
             with FitProgressBar(quiet=quiet) as bar:
                 return fitted(
-                    client, capture, notes, name=name, config=config, on_progress=bar.show
+                    client,
+                    capture,
+                    notes,
+                    name=name,
+                    config=config,
+                    on_progress=bar.show,
+                    on_first=write_first if first else None,
                 )
 
         fit, added = fit_of(capture, config, NOTES), []
@@ -156,7 +181,7 @@ def _run(
         if again is not None:
             capture, added = again.capture, [again.note]
             fit = fit_of(capture, again.config, NOTES_AGAIN)
-        done = export(client, fit, capture, folder, formats=formats, unit=unit, height=height)
+        done = written(fit, capture)
         return done | {"notes": [*added, *done["notes"]]}
 
 

@@ -74,8 +74,9 @@ def fitted(
     name: str,
     config: Mapping[str, Any],
     on_progress: Callable[[Fit], object],
+    on_first: Callable[[Fit], object] | None = None,
 ) -> Fit:
-    """Upload, fit and wait, as far as that is not done yet.
+    """Upload, fit and wait, as far as that is not done yet; `on_first` has the first answer.
 
     Raises
     ------
@@ -93,6 +94,10 @@ def fitted(
         notes.fit_id = client.fits.create(notes.dataset_id, name=name, **config).id
         notes.keep()
     try:
+        if on_first is not None:
+            first = client.fits.wait_for_answer(notes.fit_id, on_progress=on_progress)
+            if first.answer_stage == "geometry":
+                on_first(first)
         return client.fits.wait(notes.fit_id, on_progress=on_progress)
     except JobFailed:
         notes.fit_id = None  # the same command tries anew
@@ -145,15 +150,16 @@ def export(
 ) -> dict[str, Any]:
     """Write all results of a fit into a folder, scaled to the body's height if it is given.
 
+    Of a fit that goes on this is its first answer, which has no model.
+
     Returns
     -------
     dict
         The JSON output: ``model``, ``files``, ``arrangement``, ``frames``, ``in_room``,
         ``reprojection_error`` (pixels, mean), ``verdict``, ``findings`` and ``notes``.
     """
-    assert fit.model_id is not None  # noqa: S101 (it has succeeded)
     lift = client.fits.reconstruction(fit)
-    found = client.models.cameras(fit.model_id)
+    found = client.fits.cameras(fit)
     room, notes = room_of(lift, found, capture)
     mended = [mended_in_words(asdict(finding), capture.view_names) for finding in fit.findings]
     notes += [words for words in mended if words is not None]
@@ -174,7 +180,8 @@ def export(
                 notes.append(f"no {known.name}: {error}")
     if room is not None:
         files += _calibrations(room, lift, capture, folder, notes)
-    files.append(client.models.download(fit.model_id, folder / WEIGHTS))
+    if fit.model_id is not None:
+        files.append(client.models.download(fit.model_id, folder / WEIGHTS))
     return {
         "model": fit.model_id,
         "files": [str(file) for file in files],

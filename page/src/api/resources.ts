@@ -11,6 +11,7 @@ export type Fit = Schemas["Fit"];
 export type Model = Schemas["Model"];
 export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
+export type FitCameras = Schemas["FitCameras"];
 export type DatasetCorrections = Schemas["DatasetCorrections"];
 export type CorrectionsState = Schemas["CorrectionsState"];
 export type Finding = Schemas["FindingForm"];
@@ -33,6 +34,8 @@ export const changeDataset = (id: string, change: object, tag: string | null = n
 export const listSkeletons = () => askJson<{ items: KnownSkeleton[] }>("skeletons");
 export const getModel = (id: string) => askJson<Model>(`models/${encodeURIComponent(id)}`);
 export const getCameras = (id: string) => askJson<ModelCameras>(`models/${encodeURIComponent(id)}/cameras`);
+/** Of a fit that goes on, too, once geometry has found them. */
+export const getFitCameras = (id: string) => askJson<FitCameras>(`fits/${encodeURIComponent(id)}/cameras`);
 /** @param corrected whether corrections are applied, or keypoints as they were detected */
 export const capturePath = (id: string, corrected: boolean) =>
   `datasets/${encodeURIComponent(id)}/capture${corrected ? "" : "?corrected=false"}`;

@@ -2,11 +2,13 @@
 
 import {
   getCameras,
+  getFitCameras,
   getModel,
   getReconstruction,
   readCorrections,
   type DatasetCorrections,
   type Fit,
+  type FitCameras,
   type Model,
   type ModelCameras,
 } from "../api/resources.ts";
@@ -22,8 +24,8 @@ import { needed } from "./tensor.ts";
 
 export interface Result {
   take: Take;
-  model: Model;
-  cameras: ModelCameras;
+  model: Model | null; // null of a first answer
+  cameras: ModelCameras | FitCameras;
   file: CaptureFile;
   loader: Loader;
   query: string; // of the frame of reference
@@ -60,19 +62,16 @@ export function queryFor(frame: Frame, { up }: Axes = {}): string {
   return frame === "camera" ? "&frame=room" : `&frame=room&up=${up?.map((value) => value.toFixed(6)).join() ?? "auto"}`;
 }
 
-/** Returns the result of a fit that has succeeded: all of a short one, else a few of all frames and
- * those about the first that is shown.
+/** Returns the result of a fit that has succeeded, or its first answer: all of a short one, else a few of all frames
+ * and those about the first that is shown.
  *
  * @param onAsked called as soon as the service was asked for frames */
 export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsked: () => void): Promise<Result> {
-  if (fit.model_id === null || fit.model_id === undefined) {
-    throw new Unplayable(MODEL_GONE);
-  }
-  const model = getModel(fit.model_id);
+  const { model, found } = fit.answer_stage === "geometry" ? firstOf(fit) : modelOf(fit);
   model.catch(() => {}); // it is waited for below
   const [detectedFile, cameras, { found: corrections, tag: correctionsTag }] = await Promise.all([
     unlessGone(remoteCapture(fit.dataset_id, false), CAPTURE_GONE),
-    unlessGone(getCameras(fit.model_id), MODEL_GONE),
+    found,
     unlessGone(readCorrections(fit.dataset_id), CAPTURE_GONE),
   ]);
   const corrected = createCorrected(detectedFile.capture, corrections.items);
@@ -96,6 +95,20 @@ export async function loadResult(fit: Fit, firstFrame: number, axes: Axes, onAsk
   corrected.show(take);
   const loader = createLoader(take, file, fit.id, query, first);
   return { take, model: await model, cameras, file, loader, query, corrected, corrections, correctionsTag };
+}
+
+interface Modelled {
+  model: Promise<Model | null>;
+  found: Promise<ModelCameras | FitCameras>;
+}
+
+function firstOf(fit: Fit): Modelled {
+  return { model: Promise.resolve(null), found: getFitCameras(fit.id) };
+}
+
+function modelOf(fit: Fit): Modelled {
+  if (fit.model_id === null || fit.model_id === undefined) throw new Unplayable(MODEL_GONE);
+  return { model: getModel(fit.model_id), found: unlessGone(getCameras(fit.model_id), MODEL_GONE) };
 }
 
 /** Returns a file whose keypoints are corrected as they are read. */
@@ -125,6 +138,6 @@ const FRAMES: Record<ModelCameras["frame_of_reference"], Frame> = {
 };
 
 /** Returns the best frame of reference of a model; it is level, too, where it is given what is up in a room. */
-export function frameOf({ frame_of_reference: best }: ModelCameras, { up }: Axes = {}): Frame {
+export function frameOf({ frame_of_reference: best }: Pick<ModelCameras, "frame_of_reference">, { up }: Axes = {}): Frame {
   return best === "room" && up !== undefined ? "level" : FRAMES[best];
 }

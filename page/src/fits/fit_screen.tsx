@@ -1,7 +1,7 @@
 /** One fit: its progress while it goes on, its result once it has succeeded, what to do otherwise. */
 
 import { lazy, Suspense } from "preact/compat";
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
 import { followFit } from "../api/events.ts";
 import { Refusal } from "../api/http.ts";
 import { getFit, type Fit } from "../api/resources.ts";
@@ -47,6 +47,11 @@ export function FitScreen({ id }: { id: string }) {
     };
   }, [id]);
 
+  const answered = fit?.status === "succeeded" || fit?.answer_stage === "geometry";
+  // Progress changes nothing of what is shown of its answer.
+  // eslint-disable-next-line react-hooks/exhaustive-deps -- these are what changes of an answer
+  const answer = useMemo(() => fit, [fit?.id, fit?.name, fit?.status, fit?.answer_stage]);
+
   useEffect(() => {
     document.title = `${fit?.name ?? "Fit"} · Fewview`;
   }, [fit?.name]);
@@ -65,7 +70,7 @@ export function FitScreen({ id }: { id: string }) {
     );
   }
   return (
-    <main class={fit.status === "succeeded" ? "wide" : ""}>
+    <main class={answered ? "wide" : ""}>
       <header class="title">
         <NamedHeading kind="fits" id={fit.id} name={fit.name} onName={(name) => setFit({ ...fit, name })} />
         <Status fit={fit} />
@@ -83,9 +88,9 @@ export function FitScreen({ id }: { id: string }) {
       {isGoingOn(fit) && <Alert>{trouble && `${trouble.message} Trying again.`}</Alert>}
       {isGoingOn(fit) && <Progress fit={fit} history={history} onFit={setFit} />}
       {(fit.status === "failed" || fit.status === "cancelled") && <Failure fit={fit} />}
-      {fit.status === "succeeded" && (
+      {answered && answer !== null && (
         <Suspense fallback={<div class="waiting-page quiet">Loading …</div>}>
-          <ResultScreen fit={fit} />
+          <ResultScreen fit={answer} />
         </Suspense>
       )}
       {!isGoingOn(fit) && <DeleteButton kind="fits" id={fit.id} what="this fit" onDeleted={() => goTo()} />}

@@ -3,17 +3,27 @@
 import type { ModelCameras } from "../api/resources.ts";
 import type { Entry } from "../parts/downloads.tsx";
 
-/** Returns what can be saved, under titles. */
-export function downloadsOf(id: string, cameras: ModelCameras | null): [string, Entry[]][] {
-  const of = (kind: string) => `models/${id}/${kind}`;
-  const calibrations: Entry[] = [
-    ["JSON", of("cameras"), `${id}-cameras.json`],
-    ["Anipose", of("cameras?format=anipose"), `${id}.toml`],
-    ["OpenCV", of("cameras?format=opencv"), `${id}.yaml`],
-    ["COLMAP", of("cameras?format=colmap"), `${id}-colmap.zip`],
-  ];
+/** Returns calibration files of the cameras of a model or a fit. */
+export function calibrationsOf(
+  kind: "models" | "fits",
+  id: string,
+  cameras: Pick<ModelCameras, "views"> | null,
+): Entry[] {
+  if (cameras === null || cameras.views.length === 0) return [];
+  const path = `${kind}/${id}/cameras`;
   return [
-    ["Cameras, as a calibration", cameras === null || cameras.views.length === 0 ? [] : calibrations],
+    ["JSON", path, `${id}-cameras.json`],
+    ["Anipose", `${path}?format=anipose`, `${id}.toml`],
+    ["OpenCV", `${path}?format=opencv`, `${id}.yaml`],
+    ["COLMAP", `${path}?format=colmap`, `${id}-colmap.zip`],
+  ];
+}
+
+/** Returns what can be saved, under titles. */
+export function downloadsOf(id: string, cameras: Pick<ModelCameras, "views"> | null): [string, Entry[]][] {
+  const of = (kind: string) => `models/${id}/${kind}`;
+  return [
+    ["Cameras, as a calibration", calibrationsOf("models", id, cameras)],
     [
       "Model",
       [

@@ -3,13 +3,13 @@
 import { useState } from "preact/hooks";
 import { saveBlob } from "../api/download.ts";
 import type { Fit } from "../api/resources.ts";
-import { downloadsOf } from "../models/downloads.ts";
+import { calibrationsOf, downloadsOf } from "../models/downloads.ts";
 import { Downloads, type Entry } from "../parts/downloads.tsx";
 import { Icon } from "../parts/icons.tsx";
 import { filmKind, record } from "./recording.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useShow } from "./show.ts";
-import { hasUnit } from "./unit.ts";
+import { fittedOf, hasUnit } from "./unit.ts";
 
 const ANIMATIONS = [
   ["TRC", "trc", ".trc"],
@@ -21,7 +21,7 @@ const ANIMATIONS = [
 
 export function Exports({ stage }: { stage: Stage | null }) {
   const { fit, model, cameras, take, query: room, editing } = useShow();
-  const [unit, setUnit] = useState(hasUnit(model) ? "m" : "");
+  const [unit, setUnit] = useState(hasUnit(fittedOf(fit, model)) ? "m" : "");
   const [range, setRange] = useState({ first: "", last: "" });
   const { slice, part } = sliceOf(range, take.frames);
   const animations = ANIMATIONS.map(([label, format, suffix]): Entry => {
@@ -38,7 +38,9 @@ export function Exports({ stage }: { stage: Stage | null }) {
             <RangeChoice key="range" range={range} setRange={setRange} frames={take.frames} />,
           ],
           ["Animation, for other tools", animations, <UnitChoice key="unit" unit={unit} setUnit={setUnit} />],
-          ...downloadsOf(model.id, cameras),
+          ...(model === null
+            ? [["Cameras, as a calibration", calibrationsOf("fits", fit.id, cameras)] as [string, Entry[]]]
+            : downloadsOf(model.id, cameras)),
           ["Capture", capturesOf(fit.dataset_id, editing.list.length > 0)],
         ]}
         hindered={(label) => (label === "TRC" && unit === "" ? "TRC names the unit: choose it" : undefined)}

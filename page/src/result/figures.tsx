@@ -9,12 +9,14 @@ import { useShow } from "./show.ts";
 export function Figures() {
   const { model, unit, cameras, take, overlay } = useShow();
   const rows: [string, string, string?][] = [
-    ["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"],
-    ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`],
     ["Captured", `${count(take.views, "view")}, ${count(take.keypoints, "keypoint")}`],
     ["Lengths", unit],
   ];
-  if (cameras.noise) rows.splice(1, 0, ["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
+  if (cameras.noise) rows.unshift(["Noise of keypoints", pixels(cameras.noise), "standard deviation"]);
+  if (model !== null) {
+    rows.unshift(["Reprojection error", pixels(model.reprojection_error), "mean over the views of all frames"]);
+    rows.splice(-2, 0, ["Frames lifted", `${number(model.frames_lifted)} of ${number(take.frames)}`]);
+  }
   if (overlay !== null) {
     const off = distances(take.points, overlay.points, take.keypoints).filter(Number.isFinite);
     const mean = off.reduce((sum, value) => sum + value, 0) / Math.max(1, off.length);
@@ -24,10 +26,10 @@ export function Figures() {
       rows.splice(1, 0, [`of ${overlay.name}`, pixels(overlay.model.reprojection_error), "of another fit"]);
     }
   }
-  if (model.pa_mpjpe) {
+  if (model?.pa_mpjpe) {
     rows.push(["Error against the truth", number(model.pa_mpjpe), "PA-MPJPE, in the truth's unit"]);
   }
-  if (model.pck) {
+  if (model?.pck) {
     rows.push(["PCK", percent(model.pck), `within ${number(model.pck_threshold)} of the truth`]);
   }
   return (
@@ -44,7 +46,7 @@ export function Figures() {
         ))}
       </dl>
       <CameraTable />
-      {model.training_curve.length > 1 && (
+      {model !== null && model.training_curve.length > 1 && (
         <details class="training">
           <summary>How the error fell</summary>
           <Curve

@@ -9,16 +9,23 @@ import { FindingList } from "../parts/finding_list.tsx";
 import { frameInAddress } from "../route.ts";
 import { structuresOf } from "./exports.tsx";
 import { prepareRenderer } from "./scene/renderer.ts";
-import { Workspace } from "./workspace.tsx";
+import { Workspace, type Playing } from "./workspace.tsx";
 
 export default function ResultScreen({ fit }: { fit: Fit }) {
   const [result, setResult] = useState<Result | null>(null);
   const [wanted, setWanted] = useState<Wanted>({ first: frameInAddress(), axes: {} });
   const placeholder = useRef<HTMLElement>(null);
+  const shown = useRef<{ id: string; wanted: Wanted } | null>(null);
+  const playing = useRef<Playing | null>(null);
   const [trouble, setTrouble] = useState<Error | null>(null);
   useEffect(() => {
     let current = true;
-    setResult(null);
+    // A first answer is shown until the one that takes its place is there.
+    if (shown.current?.id !== fit.id || shown.current.wanted !== wanted) {
+      setResult(null);
+      playing.current = null;
+    }
+    shown.current = { id: fit.id, wanted };
     setTrouble(null);
     const prepare = () => placeholder.current !== null && prepareRenderer(placeholder.current);
     loadResult(fit, wanted.first, wanted.axes, () => setTimeout(prepare)).then(
@@ -28,8 +35,8 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
     return () => {
       current = false;
     };
-    // eslint-disable-next-line react-hooks/exhaustive-deps -- what changes of a fit that succeeded is its name
-  }, [fit.id, wanted]);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- what else changes of a fit is its name
+  }, [fit.id, fit.answer_stage, wanted]);
   if (trouble instanceof Unplayable) return <Remains fit={fit} why={trouble.message} />;
   if (trouble !== null) {
     return (
@@ -42,7 +49,8 @@ export default function ResultScreen({ fit }: { fit: Fit }) {
   }
   if (result === null) return <Placeholder stage={placeholder} />;
   const again = (first: number, axes = wanted.axes) => setWanted({ first, axes });
-  return <Workspace fit={fit} result={result} first={wanted.first} onAgain={again} />;
+  const answer = result.model === null ? "first" : "last";
+  return <Workspace key={answer} fit={fit} result={result} first={wanted.first} playing={playing} onAgain={again} />;
 }
 
 /** What is loaded; another object has it loaded again. */

@@ -2,7 +2,7 @@
 
 import { createContext } from "preact";
 import { useContext } from "preact/hooks";
-import type { Finding, Fit, Model, ModelCameras } from "../api/resources.ts";
+import type { Finding, Fit, FitCameras, Model, ModelCameras } from "../api/resources.ts";
 import type { CaptureFile } from "../data/capture.ts";
 import type { Take } from "../data/take.ts";
 import type { Theme } from "../parts/theme.ts";
@@ -49,8 +49,8 @@ export interface Overlay {
 export interface Show extends Shown {
   fit: Fit;
   editing: Editing;
-  model: Model;
-  cameras: ModelCameras;
+  model: Model | null; // null of a first answer
+  cameras: ModelCameras | FitCameras;
   file: CaptureFile;
   query: string; // of the frame of reference, for what is asked of the service
   join(joined: Joined | null): void;

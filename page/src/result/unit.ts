@@ -1,8 +1,13 @@
 /** The unit of a fit's structures. */
 
-import type { Model } from "../api/resources.ts";
+import type { Fit, Model } from "../api/resources.ts";
 
 type Fitted = Pick<Model, "config" | "findings">;
+
+/** Returns what is known of a result's unit: of its model or, of a first answer, of the fit. */
+export function fittedOf(fit: Fit, model: Model | null): Fitted {
+  return model ?? { config: fit.config ?? {}, findings: fit.findings };
+}
 
 /** Returns what lengths are counted in. Which unit a given length has nobody states, so its name is
  * not known; without one the structure's own size is the unit. */

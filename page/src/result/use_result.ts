@@ -18,7 +18,7 @@ import { createPlayer, type Player } from "./player.ts";
 import type { Stage } from "./scene/scene.ts";
 import { useSelection } from "./selection.ts";
 import type { Joined, Overlay, Show } from "./show.ts";
-import { unitOf } from "./unit.ts";
+import { fittedOf, unitOf } from "./unit.ts";
 import { useCovariances } from "./use_covariances.ts";
 
 const WORST = 10; // frames that are marked
@@ -73,7 +73,7 @@ export function useResult(fit: Fit, result: Result, first: number, stage: Stage 
     ...{
       fit,
       model,
-      unit: unitOf(model),
+      unit: unitOf(fittedOf(fit, model)),
       cameras,
       take,
       file,

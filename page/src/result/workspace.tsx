@@ -1,9 +1,10 @@
 /** The result screen: the structure, the views, the errors in time, and what was noticed. */
 
 import type { ComponentChildren } from "preact";
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import type { Fit } from "../api/resources.ts";
 import type { Axes, Result } from "../data/loading.ts";
+import { Icon } from "../parts/icons.tsx";
 import { FindingList } from "../parts/finding_list.tsx";
 import { Verdict } from "../parts/verdict.tsx";
 import { Closer } from "./closer/closer.tsx";
@@ -14,6 +15,7 @@ import { Exports } from "./exports.tsx";
 import { Figures } from "./figures.tsx";
 import { Labels } from "./labels.tsx";
 import { Legend } from "./legend.tsx";
+import type { Player } from "./player.ts";
 import { ReportLink } from "./report_link.tsx";
 import type { Stage } from "./scene/scene.ts";
 import { KnownPanel } from "../remedies/known_panel.tsx";
@@ -27,18 +29,38 @@ import { TwoStages } from "./two_stages.tsx";
 import { useResult } from "./use_result.ts";
 import { ViewPanel } from "./view_panel.tsx";
 
+/** What is played at the moment, and from where it is seen. */
+export interface Playing {
+  player: Player;
+  stage: Stage | null;
+}
+
 interface Props {
   fit: Fit;
   result: Result;
   first: number; // frame that is shown
+  playing: { current: Playing | null }; // goes on where another answer takes the place of the first
   onAgain: (first: number, axes?: Axes) => void; // has the result loaded again
 }
 
-export function Workspace({ fit, result, first, onAgain }: Props) {
+export function Workspace({ fit, result, first, playing, onAgain }: Props) {
   const [stage, setStage] = useState<Stage | null>(null);
   const [crop, setCrop] = useState<Crop>("subject");
-  const show = useResult(fit, result, first, stage);
+  const [before] = useState(() => playedBefore(playing.current));
+  const show = useResult(fit, result, before?.frame ?? first, stage);
   const { take, player, findings } = show;
+  const isFirst = result.model === null;
+  useEffect(() => {
+    if (before !== null) goOn(player, before);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- once, as it begins
+  }, []);
+  useEffect(() => {
+    if (stage !== null && before?.angle) stage.setAngle(before.angle);
+    // eslint-disable-next-line react-hooks/exhaustive-deps -- once, as it can be seen
+  }, [stage]);
+  useEffect(() => {
+    playing.current = { player, stage };
+  }, [playing, player, stage]);
   const subject = useSubjectOf(fit, {
     ...{ take, file: show.file, selected: show.selected.at(-1) ?? null, onEdges: show.join },
     lifting: { frame: take.frame === "view" ? "canonical" : "room" },
@@ -47,6 +69,12 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
   return (
     <Both show={show}>
       <div class="result" aria-busy={!show.done}>
+        {isFirst && (
+          <p class="verdict caution" role="status">
+            <Icon name="warning" /> <strong>This is the first answer,</strong> of the cameras that geometry found. The
+            network is still being taught; its answer takes this one&apos;s place when the fit ends.
+          </p>
+        )}
         <Verdict verdict={fit.verdict} framesDoubted={findings.length > fit.findings.length}>
           {fit.verdict?.expected && (
             <>
@@ -68,8 +96,8 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
           <Timeline />
           <Legend crop={crop} setCrop={setCrop} />
         </section>
-        <CorrectPanel />
-        <Closer />
+        {!isFirst && <CorrectPanel />}
+        {!isFirst && <Closer />}
         <div class="facts-grid">
           <div class="stack">
             <section class="panel">
@@ -99,7 +127,7 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
           <section class="panel">
             <h2>Take it away</h2>
             <Exports stage={stage} />
-            <Labels />
+            {!isFirst && <Labels />}
             <CopyLink stage={stage} frame={() => player.frame} />
             <Shortcuts />
           </section>
@@ -107,6 +135,18 @@ export function Workspace({ fit, result, first, onAgain }: Props) {
       </div>
     </Both>
   );
+}
+
+function playedBefore(playing: Playing | null) {
+  if (playing === null) return null;
+  const { frame, playing: goesOn, speed, loop } = playing.player;
+  return { frame, goesOn, speed, loop, angle: playing.stage?.angle() };
+}
+
+function goOn(player: Player, { goesOn, speed, loop }: NonNullable<ReturnType<typeof playedBefore>>) {
+  player.setSpeed(speed);
+  player.setLoop(loop);
+  if (goesOn) player.toggle();
 }
 
 /** Lets what shows results, and what shows any structures, use them. */

@@ -14,8 +14,9 @@ from models.numerics.tensor_files import pack, read_about
 from models.settings.config import WARM_STEPS, FitConfig, warm
 from models.training.budget import WARM_UP_STEPS, Clock, plan_within_budget, seconds_left
 from models.training.holdout import split
+from models.training.progress import Progress
 from models.training.schedule import PERSPECTIVE_REFRESHES, Schedule
-from models.training.trainer import Progress, Trainer, fit
+from models.training.trainer import Trainer, fit
 from tests.sharing import fitted_once
 from tests.tiers import thorough_after
 

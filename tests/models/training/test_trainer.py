@@ -14,7 +14,8 @@ from models.lifting.fitted_prior import FittedPrior
 from models.numerics.tensor_files import WeightsError, pack, read_about
 from models.settings.config import FitConfig
 from models.training.budget import WARM_UP_STEPS
-from models.training.trainer import Progress, Trainer, fit
+from models.training.progress import Progress
+from models.training.trainer import Trainer, fit
 from tests.sharing import fitted_once
 from tests.tiers import thorough_after
 

@@ -286,7 +286,8 @@ def test_as_json_it_is_that_of_its_arrays_however_long_it_is(
         fit = stored_fit(settings, make_dataset(http), save(arrays))
         url = f"/fits/{fit}/reconstruction"
         whole = http.get(url)
-        fields = {name: whole.json()[name] for name in ("fit_id", "model_id", "dataset_id")}
+        names = ("fit_id", "model_id", "dataset_id", "stage")
+        fields = {name: whole.json()[name] for name in names}
         texts = [orjson.Fragment(text) for text in frames_to_json(arrays)]
         assert len(texts) == 100 * 60
         assert whole.content == orjson.dumps({**fields, "frames": texts, "findings": []})
