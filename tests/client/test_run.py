@@ -62,9 +62,12 @@ def test_files_become_an_animation_cameras_and_a_model(
     size = "x".join(map(str, IMAGE_SIZE))
     words = [*files, "-o", str(tmp_path / "out"), "--json", "--image-size", size, *QUICK]
     words += ["--fps", "50", "--formats", "trc,npz,csv", "--known-distance", "cam2,1,2.5"]
-    first = run(*words)
+    first = run(*words, "--first")
     assert first.returncode == 0, first.stderr
     answer = json.loads(first.stdout)
+    early = answer["first"]
+    assert (early["model"], early["arrangement"], early["in_room"]) == (None, "static", 40)
+    assert set(early["files"]) == {file for file in answer["files"] if "model" not in file}
     assert answer["arrangement"] == "static"
     assert answer["frames"] == answer["in_room"] == 40
     written = {Path(file).name for file in answer["files"]}

@@ -158,30 +158,26 @@ def _run(
 
         def fit_of(capture: "Capture", config: dict[str, Any], file: str) -> "Fit":
             notes = Notes.of(folder / file, digest_of(capture, config, url))
-            name = folder.absolute().name
+            asked: dict[str, Any] = {"name": folder.absolute().name, "config": config}
 
             def write_first(fit: "Fit") -> None:
-                done = written(fit, capture)
+                early.append(written(fit, capture))
                 if not quiet:
-                    echo(f"the first answer, of geometry:\n{result_in_words(done)}")
+                    echo(f"the first answer, of geometry:\n{result_in_words(early[-1])}")
 
+            asked["on_first"] = write_first if first else None
             with FitProgressBar(quiet=quiet) as bar:
-                return fitted(
-                    client,
-                    capture,
-                    notes,
-                    name=name,
-                    config=config,
-                    on_progress=bar.show,
-                    on_first=write_first if first else None,
-                )
+                return fitted(client, capture, notes, on_progress=bar.show, **asked)
 
+        early: list[dict[str, Any]] = []
         fit, added = fit_of(capture, config, NOTES), []
         again = parted(capture, fit, config)
         if again is not None:
             capture, added = again.capture, [again.note]
             fit = fit_of(capture, again.config, NOTES_AGAIN)
         done = written(fit, capture)
+        if first:
+            done["first"] = early[-1] if early else None
         return done | {"notes": [*added, *done["notes"]]}
 
 

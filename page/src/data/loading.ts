@@ -138,6 +138,9 @@ const FRAMES: Record<ModelCameras["frame_of_reference"], Frame> = {
 };
 
 /** Returns the best frame of reference of a model; it is level, too, where it is given what is up in a room. */
-export function frameOf({ frame_of_reference: best }: Pick<ModelCameras, "frame_of_reference">, { up }: Axes = {}): Frame {
+export function frameOf(
+  { frame_of_reference: best }: Pick<ModelCameras, "frame_of_reference">,
+  { up }: Axes = {},
+): Frame {
   return best === "room" && up !== undefined ? "level" : FRAMES[best];
 }
