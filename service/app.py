@@ -179,7 +179,7 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
         app.state.keyring = Keyring(app.state.store, fixed_callers(settings))
         app.state.integrity = Integrity(app.state.store)
         app.state.rooms = Rooms(app.state.store)
-        threading.Thread(target=app.state.engine.models.warm_newest, daemon=True).start()
+        threading.Thread(target=app.state.engine.models.begin, daemon=True).start()
         yield
         await _close(app)
 

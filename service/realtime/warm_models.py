@@ -4,14 +4,16 @@ import gc
 import logging
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import islice
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.compiled import load_machine_code
 from models.settings.rooms import BestFrame, Up
 from store import aliases, answers, lookup, models
 from store.database import Store
@@ -22,6 +24,7 @@ from worker.rooms import Room, first_frame, has_room
 logger = logging.getLogger(__name__)
 
 LOOK_SECONDS = 1.0  # between two looks at the records
+MOST_AHEAD = 32  # models made warm at a look, before anyone asks for them
 MOST_FIRST = 4  # models of first answers kept at once
 
 
@@ -83,6 +86,7 @@ class WarmModels:
         self._lock = threading.Lock()
         self._loading: dict[str, threading.Lock] = {}
         self._aliases: dict[tuple[str, str], str] = {}  # by project and name
+        self._newest: str | None = None  # model, at the last look
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="warm-models", daemon=True)
         self._watcher.start()
@@ -164,8 +168,15 @@ class WarmModels:
         return model
 
     def look(self) -> None:
-        """Read now where aliases point to, after a change that this process has made."""
-        self._aliases = aliases.targets(self._store)
+        """Read where aliases point to; they point there once the model is warm."""
+        found = aliases.targets(self._store)
+        moved = {
+            (alias[0], model_id)
+            for alias, model_id in found.items()
+            if self._aliases.get(alias) != model_id
+        }
+        self._warm_ahead(moved)
+        self._aliases = found
 
     def forget(self, model_id: str) -> None:
         """Give up a model that this process has deleted."""
@@ -182,6 +193,7 @@ class WarmModels:
                 known = list(self._used.values())
             try:
                 self.look()
+                self._look_at_newest()
                 if known:
                     self._compare(known)
                 blind = False
@@ -243,13 +255,35 @@ class WarmModels:
         while len(self._kept) > 1 and self._bytes() > self._max_bytes:
             del self._kept[self._dispensable(model).id]
 
-    def warm_newest(self) -> None:
-        """Make the newest model warm, and ready what all lifts need, before anyone asks."""
+    def begin(self) -> None:
+        """Make warm what will be asked for, and load the code of all lifts, before anyone asks."""
         try:
-            for record in lookup.page(self._store, ModelRecord, limit=1, after=None):
-                self.get(record.project, record.id)
+            self._look_at_newest()
+            self.look()
+            load_machine_code()
         except Exception:  # the next caller gets the error
-            logger.exception("The newest model could not be read")
+            logger.exception("Models could not be read ahead")
+
+    def _look_at_newest(self) -> None:
+        """Make the newest model warm, if it is another than at the look before."""
+        for record in lookup.page(self._store, ModelRecord, limit=1, after=None):
+            if record.id != self._newest:
+                self._newest = record.id
+                self._warm_ahead([(record.project, record.id)])
+
+    def _warm_ahead(self, wanted: Iterable[tuple[str, str]]) -> None:
+        """Make some models warm, by project and identifier, as far as there is place for them."""
+        for project, model_id in islice(wanted, MOST_AHEAD):
+            try:
+                record = lookup.get(self._store, ModelRecord, model_id)
+                with self._lock:
+                    fits = self._bytes() + record.weights_bytes <= self._max_bytes
+                if fits or not self._kept:
+                    self.get(project, model_id)
+            except NotFoundError:
+                continue
+            except Exception:  # the next caller gets the error
+                logger.exception("Model %s could not be read ahead", model_id)
 
     def _bytes(self) -> int:
         return sum(model.weights_bytes for model in self._kept.values())
@@ -268,7 +302,8 @@ class WarmModels:
 
 def _prepare(prior: FittedPrior) -> None:
     """Lift nothing, once: compiled code is loaded, or even made, when it is first called."""
-    nothing = np.full((1, 1, prior.keypoints_per_frame, 2), np.nan, np.float32)
+    views = max(prior.known_views, 1)
+    nothing = np.full((1, views, prior.keypoints_per_frame, 2), np.nan, np.float32)
     prior.lift(nothing, refine="full")
     _keep_what_is_loaded()
 
