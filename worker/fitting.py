@@ -16,7 +16,7 @@ from models.calibrating.handedness import DECIDED
 from models.capture.metrics import Reflection, pa_mpjpe, pck
 from models.findings import advice
 from models.findings.finding import dumped, log_findings
-from models.lifting.film import film_of
+from models.lifting.film import Film, film_of
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from models.numerics.tensor_files import WeightsError
@@ -129,18 +129,22 @@ def _run(
     film = film_of(prior, shown)
     lift = reconstruct(film, stopped)
     if lift is not None:
-        succeed = partial(
-            attempts.succeed,
-            store,
-            attempt,
-            weights=prior.to_bytes(),
-            reconstruction=save(lift.arrays),
-            report=advice.attempt(make_report, None, film, lift, dataset.skeleton),
-            progress=heartbeat.progress,
-            describe=_describe(fit, dataset, capture, prior, lift),
-        )
-        waiting(succeed)
+        result = _stored_form(prior, film, lift, dataset)
+        described = _describe(fit, dataset, capture, prior, lift)
+        done = {"progress": heartbeat.progress, "describe": described, **result}
+        waiting(partial(attempts.succeed, store, attempt, **done))
         log_findings(logger, f"Fit {fit.id}", prior.findings)
+
+
+def _stored_form(
+    prior: FittedPrior, film: Film, lift: LiftedFrames, dataset: DatasetRecord
+) -> dict[str, Any]:
+    """Return what is stored of a result as objects."""
+    return {
+        "weights": prior.to_bytes(),
+        "reconstruction": save(lift.arrays),
+        "report": advice.attempt(make_report, None, film, lift, dataset.skeleton),
+    }
 
 
 def _describe(
