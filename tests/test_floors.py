@@ -73,6 +73,7 @@ PACKAGES = {
         ("api", "known_data"),
         ("client", "room"),
         ("height", "products", "writers"),
+        ("live",),
         ("commands",),
         ("cli",),
     ),

@@ -13,6 +13,7 @@ from fewview.commands.export import export
 from fewview.commands.fit import fit
 from fewview.commands.labels import labels
 from fewview.commands.lift import lift
+from fewview.commands.live import live
 from fewview.commands.open_page import open_page
 from fewview.commands.report import report
 from fewview.commands.run import run
@@ -67,7 +68,7 @@ def _run_of_server(context: typer.Context) -> None:
 
 for name, words in OF_SERVER.items():
     app.command(name, help=words, context_settings=ELSEWHERE)(_run_of_server)
-for command in (run, convert, upload, fit, cameras, lift, export, report, labels, evaluate):
+for command in (run, convert, upload, fit, cameras, lift, live, export, report, labels, evaluate):
     app.command()(command)
 app.command("open")(open_page)
 for kind in COLUMNS:

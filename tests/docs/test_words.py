@@ -24,6 +24,7 @@ BUDGETS = {
     "docs/errors.md": 600,
     "docs/clients.md": 300,
     "docs/streaming.md": 1500,
+    "docs/live.md": 500,
     "docs/operations.md": 2400,
     "docs/queue.md": 500,
     "docs/settings.md": 1200,

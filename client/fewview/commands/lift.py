@@ -49,7 +49,7 @@ def lift(
             model,
             capture_in(files, options()),
             refine=refine,
-            views=None if views is None else _indices(views),
+            views=None if views is None else indices(views),
             frame=frame,
             up=up,
             uncertainty=uncertainty,
@@ -71,7 +71,8 @@ def lift(
         say(result, f"{lifted} of {frames} frames lifted: {output}", as_json=as_json)
 
 
-def _indices(text: str) -> list[int]:
+def indices(text: str) -> list[int]:
+    """Return the numbers of views in a text such as ``0,2``."""
     try:
         return [int(part) for part in text.split(",")]
     except ValueError as error:

@@ -57,7 +57,7 @@ def with_body_tree(animation: Animation) -> Animation:
 
     One with other keypoints than a body's, or without both shoulders and hips, stays as it is.
     """
-    names = [_usual(name) for name in animation.names]
+    names = [usual_name(name) for name in animation.names]
     place = {name: index for index, name in enumerate(names)}
     core = {each.replace("*", side) for each in OF_CENTRES.values() for side in ("left", "right")}
     if not core <= place.keys() or len(place) < len(names):
@@ -92,7 +92,7 @@ def _parents(name: str) -> Iterator[str]:
             yield parent.replace("*", side)
 
 
-def _usual(name: str) -> str:
+def usual_name(name: str) -> str:
     """Return a name such as ``LBigToe`` or ``Left Big Toe`` as ``left_big_toe``."""
     words: Sequence[str] = _WORDS.findall(of_vision(name))
     words = [{"L": "left", "R": "right"}.get(word, word.lower()) for word in words]

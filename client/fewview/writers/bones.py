@@ -45,15 +45,15 @@ def _rigid(bones: Float64) -> tuple[Float64, Float64]:
     if (np.linalg.norm(reference, axis=-1) < SCATTERED * lengths).any():
         reference = bones[0]
     for _ in range(ROUNDS):
-        back = np.swapaxes(_turns(reference, bones), 1, 2)
+        back = np.swapaxes(turns_of(reference, bones), 1, 2)
         reference = np.einsum("nij,ncj->nci", back, bones).mean(0)
     reference = (
         reference * (lengths / np.maximum(np.linalg.norm(reference, axis=-1), LEAST))[:, None]
     )
-    return reference, _turns(reference, bones)
+    return reference, turns_of(reference, bones)
 
 
-def _turns(reference: Float64, bones: Float64) -> Float64:
+def turns_of(reference: Float64, bones: Float64) -> Float64:
     """Return the rotations (N, 3, 3) that take reference bones (C, 3) nearest to those of frames.
 
     Kabsch (1978). There is no rotation that the bones do not determine, such as the twist about a

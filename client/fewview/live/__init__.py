@@ -1,0 +1,1 @@
+"""Streams of frames passed on to programs that show them as they come."""

@@ -1,0 +1,57 @@
+"""What a bridge tells of itself once a second: rates, latencies, what was lost."""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import IO, Any
+
+import numpy as np
+
+MOST_REASONS = 50  # that are told; one more would be somebody's game
+
+
+class Figures:
+    """Counts frames and their latency, and tells each reason for a bad one once."""
+
+    def __init__(self, tell: Callable[[str], None], file: IO[str] | None) -> None:
+        self.tell, self._file = tell, file
+        self._since = time.perf_counter()
+        self._latencies: list[float] = []
+        self._told: set[str] = set()
+        self._counts: Counter[str] = Counter()
+
+    def answered(self, come: float) -> None:
+        """Count a frame that came at a time of perf_counter, and has been sent on now."""
+        self._latencies.append(time.perf_counter() - come)
+
+    def count(self, what: str, reason: str | None = None) -> None:
+        """Count what was ``bad``, ``dropped``, ``unsent`` or ``reconnects``, and tell why, once."""
+        self._counts[what] += 1
+        if reason is not None and reason not in self._told and len(self._told) < MOST_REASONS:
+            self._told.add(reason)
+            self.tell(f"{what}: {reason}")
+
+    def report(self) -> None:
+        """Tell what happened since the last report, and write it to the file as a line of JSON."""
+        now = time.perf_counter()
+        milliseconds, seconds = 1000 * np.array(self._latencies), now - self._since
+        self._latencies, self._since = [], now
+        median, late = (
+            np.percentile(milliseconds, (50, 99)).tolist() if len(milliseconds) else (None, None)
+        )
+        record: dict[str, Any] = {
+            "time": time.time(),
+            "seconds": seconds,
+            "frames": len(milliseconds),
+            "frames_per_second": len(milliseconds) / seconds,
+            "latency_median_ms": median,
+            "latency_p99_ms": late,
+            **{what: self._counts[what] for what in ("bad", "dropped", "unsent", "reconnects")},
+        }
+        latency = "" if median is None else f", latency {median:.1f} ms, p99 {late:.1f} ms"
+        lost = "".join(f", {count} {what}" for what, count in self._counts.items())
+        self.tell(f"{record['frames_per_second']:.1f} frames/s{latency}{lost}")
+        if self._file is not None:
+            self._file.write(json.dumps(record) + "\n")
+            self._file.flush()
