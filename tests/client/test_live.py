@@ -50,10 +50,8 @@ def frame(served: Served, place: int) -> bytes:
 
 def read_osc(data: bytes) -> list[tuple[str, list[Any]]]:
     """Return the messages of a bundle as the library of others reads them."""
-    pytest.importorskip("pythonosc", reason="python-osc, the other side, is not installed")
-    from pythonosc.osc_bundle import OscBundle
-
-    return [(each.address, each.params) for each in OscBundle(data)]
+    other = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
+    return [(each.address, each.params) for each in other.OscBundle(data)]
 
 
 def command(served: Served, udp: socket.socket, scheme: str, *more: str) -> list[str]:
@@ -213,7 +211,9 @@ def rotated(quaternion: tuple[float, ...], vector: tuple[float, ...]) -> Any:
 
 
 def test_messages_are_read_by_the_library_of_others() -> None:
-    sent = [(f"/fewview/{'x' * length}", ["é" * length, length, 0.5]) for length in range(60)]
+    sent: list[tuple[str, list[str | int | float]]] = [
+        (f"/fewview/{'x' * length}", ["é" * length, length, 0.5]) for length in range(60)
+    ]
     found = []
     for data in bundles(message(address, *values) for address, values in sent):
         assert len(data) <= 1400

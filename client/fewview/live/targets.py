@@ -66,9 +66,9 @@ class Target:
     """A UDP socket to one address; a datagram that cannot be sent is lost, as others on the way."""
 
     def __init__(self, host: str, port: int) -> None:
-        family, kind, protocol, _, self._address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_DGRAM
-        )[0]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        family, kind, protocol, _, address = found[0]
+        self._address: tuple[Any, ...] = address
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
 
