@@ -25,7 +25,8 @@ from tests.sharing import fitted_once
 
 OWNERS = ("/fits/{fit_id}/", "/models/{model_id}/", "/datasets/{dataset_id}/")
 NO_FILES = {"/fits/{fit_id}/events", "/datasets/{dataset_id}/corrections"}
-CAMERAS, NETWORK = "/models/{model_id}/cameras", "/models/{model_id}/network"
+NETWORK = "/models/{model_id}/network"
+CAMERAS = ("/models/{model_id}/cameras", "/fits/{fit_id}/cameras")
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
@@ -99,7 +100,7 @@ WITH_NETWORK = ("without noise",)
 def may_be_refused(kind: Kind, path: str, query: str) -> bool:
     if path == NETWORK:
         return kind.prior.denoises
-    if path == CAMERAS and "json" not in query:
+    if path in CAMERAS and "json" not in query:
         return kind.no_cameras or (kind.no_poses and "anipose" in query)
     return kind.no_poses and "frame=room" in query
 
