@@ -6,6 +6,7 @@ from functools import partial
 
 from safetensors.numpy import save
 
+from models.findings import advice
 from models.findings.finding import dumped
 from models.lifting.film import Film, Shown, film_of
 from models.lifting.lift import LiftedFrames, join
@@ -42,7 +43,9 @@ class FirstAnswer:
         if self._is_given or not self._trainer.has_first_answer:
             return True
         self._is_given = True
-        prior = self._trainer.first_answer()
+        prior = advice.attempt(self._trainer.first_answer, None)
+        if prior is None:  # the fit itself does not need it
+            return True
         lift = reconstruct(film_of(prior, self._shown), stopped)
         if lift is None:
             return False

@@ -67,7 +67,7 @@ def _arrangement(problem: CalibrationProblem, found: SelfCalibration) -> Iterato
         return
     moving, geometry = ~found.static, problem.geometry
     if not moving.any() and geometry is not None:
-        rig = geometry.rig  # without one, shapes alone say that the cameras are static
+        rig = geometry.rig  # without one, shapes alone have decided that cameras are static
         moving = ~moving if rig is None else rig.motion.gains > SURE * rig.motion.errors
     if moving.any():
         yield Finding.of("arrangement_not_observable", views=np.flatnonzero(moving))

@@ -36,7 +36,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
 FEWEST_FRAMES, MOST_FRAMES = 100, 300  # that it is learnt from, if there are as many
-DETECTIONS = 100_000  # keypoints of views in them: more than these tell no more
+DETECTIONS = 100_000  # keypoints of views in them: more than these add nothing
 FEWEST_UNSEEN = 20  # frames that the network did not learn from, to learn from these alone
 
 

@@ -1,4 +1,4 @@
-"""What a fit tells of itself while it goes on."""
+"""The progress of a fit while it goes on."""
 
 from dataclasses import dataclass
 from typing import Literal

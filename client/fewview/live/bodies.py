@@ -1,6 +1,6 @@
 """The bones of a body as VMC has them: names, parents and axes of Unity's humanoid.
 
-Points have y up and are right-handed. The pose at rest is a T that looks along -z, so its left arm
+Points have y up and are right-handed. The T pose looks along -z, so its left arm
 points along -x. Unity is left-handed: its z is the other way round.
 
 Source: the VirtualMotionCapture protocol, https://protocol.vmc.info/english.html
@@ -28,7 +28,7 @@ PAIRS = {**OF_CENTRES, "ears": "*_ear"}  # points in the middle of two
 
 
 class Bone(NamedTuple):
-    """A bone, the bone that it hangs on, and directions between points in the pose at rest."""
+    """A bone, the bone that it hangs on, and directions between points in the T pose."""
 
     name: str
     parent: str | None
@@ -50,9 +50,9 @@ def _limbs(side: str) -> tuple[Bone, ...]:
         Bone(
             f"{name}{bone}",
             parent if parent in {"Spine", "Hips"} else f"{name}{parent}",
-            ((f"{side}_{start}", f"{side}_{end}", rest),),
+            ((f"{side}_{start}", f"{side}_{end}", unbent),),
         )
-        for bone, parent, start, end, rest in chain
+        for bone, parent, start, end, unbent in chain
     )
 
 
@@ -107,7 +107,7 @@ class Body:
     def turned(self, pose: Pose, metres: float) -> list[Turned]:
         """Return the bones of a pose; `metres` is what its unit is in metres.
 
-        A bone that fades turns back to the pose at rest. One that is gone is left out, and so are
+        A bone that fades turns back to the T pose. One that is gone is left out, and so are
         those that hang on it.
         """
         found, in_room = [], dict[str, Float64]()
@@ -117,8 +117,8 @@ class Body:
             if before is None or not weight:
                 continue
             along = [self._at(pose, b) - self._at(pose, a) for a, b, _ in bone.directions]
-            rest = np.array([rest for *_, rest in bone.directions])
-            turn = turns_of(_unit(rest), _unit(np.array(along)) @ before[None])[0]
+            unbent = np.array([direction for *_, direction in bone.directions])
+            turn = turns_of(_unit(unbent), _unit(np.array(along)) @ before[None])[0]
             in_room[bone.name] = before @ turn
             x, y, z = self._at(pose, "hips") * metres if bone.parent is None else np.zeros(3)
             found.append(Turned(bone.name, (x, y, 0.0 - z), _in_unity(turn, weight)))

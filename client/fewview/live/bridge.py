@@ -78,7 +78,7 @@ class Bridge:
                     local_addr=self.source,
                 )
                 host, port = listening.get_extra_info("sockname")[:2]
-                self.figures.tell(f"listening on udp://{host}:{port}")
+                self.figures.show(f"listening on udp://{host}:{port}")
             await self._stream(queue, None)  # at once, so that what is wrong is said at once
             while not self._ended:
                 await self._stream(queue, await queue.get())

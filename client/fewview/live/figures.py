@@ -1,4 +1,4 @@
-"""What a bridge tells of itself once a second: rates, latencies, what was lost."""
+"""Figures of a bridge, once a second: rates, latencies, what was lost."""
 
 import json
 import time
@@ -8,17 +8,17 @@ from typing import IO, Any
 
 import numpy as np
 
-MOST_REASONS = 50  # that are told; one more would be somebody's game
+MOST_REASONS = 50  # that are printed, however many there are
 
 
 class Figures:
-    """Counts frames and their latency, and tells each reason for a bad one once."""
+    """Counts frames and their latency, and prints each reason for a bad one once."""
 
-    def __init__(self, tell: Callable[[str], None], file: IO[str] | None) -> None:
-        self.tell, self._file = tell, file
+    def __init__(self, show: Callable[[str], None], file: IO[str] | None) -> None:
+        self.show, self._file = show, file
         self._since = time.perf_counter()
         self._latencies: list[float] = []
-        self._told: set[str] = set()
+        self._shown: set[str] = set()
         self._counts: Counter[str] = Counter()
 
     def answered(self, come: float) -> None:
@@ -26,14 +26,14 @@ class Figures:
         self._latencies.append(time.perf_counter() - come)
 
     def count(self, what: str, reason: str | None = None) -> None:
-        """Count what was ``bad``, ``dropped``, ``unsent`` or ``reconnects``, and tell why, once."""
+        """Count a ``bad``, ``dropped`` or ``unsent`` frame, or a reconnect; print reasons once."""
         self._counts[what] += 1
-        if reason is not None and reason not in self._told and len(self._told) < MOST_REASONS:
-            self._told.add(reason)
-            self.tell(f"{what}: {reason}")
+        if reason is not None and reason not in self._shown and len(self._shown) < MOST_REASONS:
+            self._shown.add(reason)
+            self.show(f"{what}: {reason}")
 
     def report(self) -> None:
-        """Tell what happened since the last report, and write it to the file as a line of JSON."""
+        """Print what happened since the last report, and write it to the file as a line of JSON."""
         now = time.perf_counter()
         milliseconds, seconds = 1000 * np.array(self._latencies), now - self._since
         self._latencies, self._since = [], now
@@ -51,7 +51,7 @@ class Figures:
         }
         latency = "" if median is None else f", latency {median:.1f} ms, p99 {late:.1f} ms"
         lost = "".join(f", {count} {what}" for what, count in self._counts.items())
-        self.tell(f"{record['frames_per_second']:.1f} frames/s{latency}{lost}")
+        self.show(f"{record['frames_per_second']:.1f} frames/s{latency}{lost}")
         if self._file is not None:
             self._file.write(json.dumps(record) + "\n")
             self._file.flush()

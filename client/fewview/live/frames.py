@@ -124,9 +124,9 @@ def follow_lines(queue: Queue) -> None:
 def _read_lines(lines: IO[bytes], queue: Queue, loop: asyncio.AbstractEventLoop) -> None:
     with suppress(RuntimeError, asyncio.CancelledError):  # the loop has ended
         while line := lines.readline(LONGEST + 1):
-            rest = line
-            while len(rest) > LONGEST and not rest.endswith(b"\n"):  # to the end of a long line
-                rest = lines.readline(LONGEST + 1)
+            part = line
+            while len(part) > LONGEST and not part.endswith(b"\n"):  # to the end of a long line
+                part = lines.readline(LONGEST + 1)
             if line.strip():
                 _put(queue, loop, line)
         _put(queue, loop, None)
