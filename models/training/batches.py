@@ -17,6 +17,8 @@ from models.training.virtual_views import drop_views, virtual_views
 VIRTUAL_IF_TAUGHT, VIRTUAL_IF_NOT = 0.1, 0.5
 # Weight of the weak-perspective reprojection error where teachers were refined in perspective.
 TAUGHT_WEIGHT = 0.02
+# Keypoints of all views, in frames that something is learnt from at the end: more add nothing.
+DETECTIONS, FEWEST_FRAMES = 100_000, 100
 
 
 class Data(NamedTuple):
@@ -126,3 +128,8 @@ def noisy_frames(clear: Data, detected: Data, noise: float) -> NoisyFrames:
         detected.weights.double().numpy(),
         noise,
     )
+
+
+def enough_frames(views: int, keypoints: int, *, most: int) -> int:
+    """Return how many frames of so many views and keypoints are enough to learn from."""
+    return min(max(DETECTIONS // (views * keypoints), FEWEST_FRAMES), most)

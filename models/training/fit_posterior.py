@@ -28,15 +28,14 @@ from models.posterior.responses import (
     response_of,
     white_steps,
 )
-from models.training.batches import Data
+from models.training.batches import Data, enough_frames
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
-FEWEST_FRAMES, MOST_FRAMES = 100, 300  # that it is learnt from, if there are as many
-DETECTIONS = 100_000  # keypoints of views in them: more than these add nothing
+MOST_FRAMES = 300  # that it is learnt from
 FEWEST_UNSEEN = 20  # frames that the network did not learn from, to learn from these alone
 
 
@@ -53,7 +52,7 @@ def posterior_of(
     None if keypoints locate points in too few of them. `detected` is the data before noise was
     removed, and `shares_left` are as in `learn_posterior`.
     """
-    count = min(_frames_for(*data.weights.shape[1:]), len(frames))
+    count = min(enough_frames(*data.weights.shape[1:], most=MOST_FRAMES), len(frames))
     some = frames[torch.linspace(0, len(frames) - 1, count).long()]
     weights = data.weights[some]
     lift = prior.lift(data.pixels(some), confidence=weights, refine="full", uncertainty="off")
@@ -86,7 +85,8 @@ def with_posterior(
         return prior
     lifts = _Lifts(prior, posterior, prior.self_calibration.rig)
     count, uncorrected = len(detected.weights), posterior.corrections[0]
-    most, every = _frames_for(*detected.weights.shape[1:]), np.arange(count)
+    most = enough_frames(*detected.weights.shape[1:], most=MOST_FRAMES)
+    every = np.arange(count)
     unseen = held_out if len(held_out) >= FEWEST_UNSEEN else every
     alone = attempt(_response, uncorrected, lifts, detected.frames(_some(every, count, most)), None)
     lifts = lifts._replace(posterior=posterior._replace(corrections=np.stack((alone, alone))))
@@ -104,11 +104,6 @@ def with_posterior(
     lifts = lifts._replace(posterior=posterior)
     usual = attempt(_usual, posterior.usual, lifts, detected.frames(_some(every, count, most)))
     return prior.with_posterior(posterior._replace(usual=usual))
-
-
-def _frames_for(views: int, keypoints: int) -> int:
-    """Return how many frames of so many views and keypoints are enough."""
-    return min(max(DETECTIONS // (views * keypoints), FEWEST_FRAMES), MOST_FRAMES)
 
 
 def _some(frames: Int64, count: int, most: int) -> Bool:

@@ -21,10 +21,9 @@ from models.calibrating.result import SelfCalibration
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.lift import LiftedFrames
 from models.network.settling import SETTLE_ALL, SETTLE_NONE, SettlingPolicy, settle_beyond
-from models.training.batches import Data
+from models.training.batches import Data, enough_frames
 
 MOST_FRAMES = 400  # plenty to learn the distribution of the network's errors
-DETECTIONS, FEWEST_FRAMES = 100_000, 100  # keypoints of views in them that are plenty, too
 LEAST_FRAMES = 5  # with some number of views, to measure errors with this number
 LEAST_UNSEEN = 8  # held-out frames, to measure errors on these alone
 MOST_VIEWS = 8  # with more, the network errs as with so many
@@ -89,8 +88,7 @@ def _sample(data: Data, unseen: Data, prior: FittedPrior, seed: list[int]) -> _S
 def _frames_with_several_views(data: Data) -> tuple[Tensor, Tensor]:
     """Return pixels and weights of some frames with two views or more, spread over the capture."""
     several = ((data.weights > 0).any(-1).sum(1) > 1).nonzero()[:, 0]
-    _, views, keypoints = data.weights.shape
-    most = min(max(DETECTIONS // (views * keypoints), FEWEST_FRAMES), MOST_FRAMES)
+    most = enough_frames(*data.weights.shape[1:], most=MOST_FRAMES)
     frames = several[:: math.ceil(max(len(several), 1) / most)]
     return data.pixels(frames), data.weights[frames]
 
