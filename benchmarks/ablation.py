@@ -30,9 +30,10 @@ from benchmarks.captures import fields_beside, read_capture
 from benchmarks.drawn_captures import HEIGHT, Draw, draw_capture, radius
 from benchmarks.draws import in_pool
 from benchmarks.figures import print_table
-from benchmarks.mechanisms import GEOMETRY, LIFT, MECHANISMS, NETWORK, Mechanism, observed
+from benchmarks.mechanisms import MECHANISMS
 from benchmarks.motions import HALVES
 from benchmarks.moving_captures import ANY, draw_moving
+from benchmarks.switching import GEOMETRY, LIFT, NETWORK, Mechanism, observed
 from models.calibrating.image_sizes import ImageSizes
 from models.capture.metrics import procrustes_by_size
 from models.lifting.fitted_prior import FittedPrior
@@ -193,18 +194,19 @@ def _errors(
     prior: FittedPrior, taken: Taken, *, alone: bool
 ) -> tuple[tuple[float, float, float], float]:
     """Return the errors of lifts, as in `Row`, and the seconds of the first."""
-    views = np.isfinite(taken.keypoints).all(-1).sum(1)  # (N, P)
+    seen = np.asarray(np.isfinite(taken.keypoints).all(-1))
+    views = seen.sum(1)  # (N, P)
     started = time.process_time()
     lift = prior.lift(taken.keypoints, confidence=taken.confidence, times=taken.times)
     seconds = time.process_time() - started
     points = lift.points3d.astype(np.float64)
-    twice, once = _error(points, taken, views > 1), _error(points, taken, views == 1)
+    twice = _error(points, taken, np.asarray(views > 1))
+    once = _error(points, taken, np.asarray(views == 1))
     single = float("nan")
     if alone:
         trust = None if taken.confidence is None else taken.confidence[:, :1]
         first = prior.lift(taken.keypoints[:, :1], confidence=trust, views=[0])
-        seen = np.isfinite(taken.keypoints[:, 0]).all(-1)
-        single = _error(first.points3d.astype(np.float64), taken, seen)
+        single = _error(first.points3d.astype(np.float64), taken, seen[:, 0])
     return (twice, once, single), seconds
 
 

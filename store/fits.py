@@ -27,6 +27,7 @@ from store.database import Store
 from store.disposal import condemn
 from store.errors import ConfigError, NotFoundError, SourceError
 from store.idempotency import Idempotency
+from store.jobs import Priority
 from store.labels import Labels
 from store.lookup import lock
 from store.mistakes import unknown
@@ -41,6 +42,7 @@ def create(
     name: str,
     config: dict[str, Any],
     from_model: str | None = None,
+    priority: Priority = "normal",
     labels: Labels = Labels(),  # noqa: B008 (never changed)
     job_id: str | None = None,
     max_queued: int | None = None,
@@ -50,7 +52,7 @@ def create(
 
     ``config`` has fields of :class:`models.settings.config.FitConfig`. The others are filled in
     with defaults, or with those for a start from the model ``from_model``. Keypoints that are given
-    by name are stored as their indices in the dataset.
+    by name are stored as their indices in the dataset. ``priority`` orders fits of one project.
 
     A ``job_id`` that already has a fit gives that fit back; without one, the fit's own identifier
     is its job's.
@@ -87,6 +89,7 @@ def create(
             frames=dataset.frames,
             config=filled_in,
             from_model=source and source.id,
+            priority=priority,
             job_id=job_id or fit_id,
             **corrections.columns(corrections.of(session, DatasetRecord, dataset_id)),
             **owned_by(author_of(session)) | {"project": dataset.project},

@@ -5,7 +5,7 @@ A function that treats both alike takes the kind of record, :class:`store.record
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
@@ -25,6 +25,9 @@ from store.usage import check_queue
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 MAX_CRASHES = 5  # workers that one fit, or one chunk of a lift, may take down
+
+Priority = Literal["high", "normal", "low"]  # of a fit among those of its project
+RANKS = {name: rank for rank, name in enumerate(get_args(Priority))}
 
 Job = TypeVar("Job", FitRecord, LiftRecord)
 Make = Callable[[Session, str], Job]  # of a record, in this session, with this identifier
@@ -91,15 +94,39 @@ def _others_may_come(session: Session) -> bool:
     return session.scalar(in_force) is not None
 
 
-def waiting(store: Store) -> dict[str, Who]:
-    """Return whose the jobs are that wait, or may be waiting, by their names on the queue."""
-    queued = select(FitRecord.job_id, FitRecord.project, FitRecord.key_id)
+class Waiting(NamedTuple):
+    """A job that waits.
+
+    Attributes
+    ----------
+    who
+        Whose it is.
+    rank
+        Of its priority, the most urgent first.
+    """
+
+    who: Who
+    rank: int = RANKS["normal"]
+
+    def goes_before(self, other: "Waiting") -> bool:
+        """Return whether it may take the place of one that runs: others take turns with that."""
+        if self.who.project != other.who.project:
+            return True
+        return self.rank < other.rank or (self.rank == other.rank and self.who != other.who)
+
+
+def waiting(store: Store) -> dict[str, Waiting]:
+    """Return the jobs that wait, or may be waiting, by their names on the queue."""
+    queued = select(FitRecord.job_id, FitRecord.project, FitRecord.key_id, FitRecord.priority)
     active = select(LiftRecord).where(LiftRecord.status.in_(("queued", "running")))
     with store.reading() as session:
         fits = session.execute(queued.where(FitRecord.status == "queued")).all()
-        found = {name: Who(project, key_id or NO_KEY) for name, project, key_id in fits}
+        found = {
+            name: Waiting(Who(project, key_id or NO_KEY), RANKS[priority])
+            for name, project, key_id, priority in fits
+        }
         for lift in session.scalars(active):
-            found[waiting_job(lift)] = who_owns(lift)
+            found[waiting_job(lift)] = Waiting(who_owns(lift))
     return found
 
 

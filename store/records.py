@@ -141,6 +141,7 @@ class FitRecord(Job, Record):
 
     config: Mapped[dict[str, Any]]
     from_model: Mapped[str | None] = mapped_column(index=True)  # whose weights it starts with
+    priority: Mapped[str] = mapped_column(default="normal", server_default="normal")
     progress: Mapped[dict[str, Any] | None]
     cancel_requested_at: Mapped[float | None]
     attempt: Mapped[int] = mapped_column(default=0)

@@ -18,7 +18,7 @@ from store.settings import shown
 
 logger = logging.getLogger(__name__)
 
-REVISIONS = tuple(f"{number:04}" for number in range(1, 13))  # in order
+REVISIONS = tuple(f"{number:04}" for number in range(1, 14))  # in order
 MIGRATIONS = Path(__file__).parent / "migrations"
 
 State = Literal["empty", "older", "current", "newer"]

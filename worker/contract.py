@@ -16,6 +16,7 @@ from models.settings.config import FitConfig, Index, Refine
 from models.settings.keypoints import MAX_VIEWS
 from models.settings.rooms import FrameOfReference, Up
 from models.settings.uncertainty import Uncertainty
+from store.jobs import Priority
 from store.labels import Metadata, Tags, Text
 from store.mistakes import unknown
 from worker import plain_data
@@ -181,6 +182,7 @@ class FitArguments(BaseModel):
     from_model: Text | None = None
     tags: Tags = []
     metadata: Metadata = {}
+    priority: Priority = "normal"
 
 
 class HelpArguments(BaseModel):

@@ -34,6 +34,7 @@ def fit(
     from_model: str | None = None,
     tags: list[str] | None = None,
     metadata: dict[str, Any] | None = None,
+    priority: str = "normal",
 ) -> dict[str, str | None]:
     """Fit a model to a dataset; the body of ``Queue("fits").enqueue("worker.jobs.fit", ...)``.
 
@@ -49,6 +50,8 @@ def fit(
         A fitted model of the same keypoints, whose weights the fit starts with.
     tags, metadata
         For finding the fit and its model.
+    priority
+        ``high``, ``normal`` or ``low``, among fits of one project.
 
     Returns
     -------

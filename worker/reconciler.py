@@ -243,6 +243,7 @@ def _create_fit(store: Store, job: KnownJob, arguments: dict[str, object]) -> st
         name=(asked.name or "fit")[:200],
         config=(asked.config or FitConfig()).model_dump(mode="json", exclude_unset=True),
         from_model=asked.from_model,
+        priority=asked.priority,
         labels=Labels(tags=asked.tags, metadata=asked.metadata),
         job_id=job.id,
     ).id

@@ -9,6 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from store import lifts
 from store.database import Store
+from store.jobs import RANKS, Waiting
 from store.records import FitRecord
 from store.shares import who_owns
 from worker.fair_order import others_wait
@@ -53,13 +54,14 @@ class TimeSlice:
 
 
 class FitTurn:
-    """One attempt's turn at a worker, which it gives up to other projects and keys that wait."""
+    """One attempt's turn at a worker, which it gives up to others that wait."""
 
     def __init__(
         self, connection: Redis, store: Store, settings: WorkerSettings, fit: FitRecord
     ) -> None:
         self._queues = open_queues(connection, settings.queues)
-        self._store, self._job_id, self._owner = store, fit.job_id, who_owns(fit)
+        self._store, self._job_id = store, fit.job_id
+        self._mine = Waiting(who_owns(fit), RANKS[fit.priority])
         self._seconds = settings.fit_turn_seconds
         self._ends = time.monotonic() + self._seconds
         self._seen: set[str] = set()
@@ -74,7 +76,7 @@ class FitTurn:
             return False
         seen: set[str] = set()
         with suppress(RedisError, SQLAlchemyError):
-            seen = others_wait(self._store, self._queues, self._job_id, self._owner)
+            seen = others_wait(self._store, self._queues, self._job_id, self._mine)
         still = bool(seen & self._seen)
         self._seen = seen
         self._ends = time.monotonic() + LOOK_SECONDS

@@ -1,7 +1,7 @@
 """Changing names, tags and metadata of stored resources, and what else a kind of them allows."""
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from fastapi import APIRouter, Path, Response
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,6 +29,8 @@ class Change(BaseModel):
             "example": {"name": "macaque, second try", "tags": ["pilot"], "metadata": {"day": 2}}
         },
     )
+
+    emptied: ClassVar = ", which null removes"  # what null does with fields that are no labels
 
     name: Name | None = None
     tags: Tags | None = Field(None, description=f"They replace the present ones. {TAGS}")
@@ -67,7 +69,8 @@ def add_change_route(
     """
     noun = kind.noun
     others = [name for name in change.model_fields if name not in LABELS]
-    more = f" And {', '.join(f'`{name}`' for name in others)}, which null removes." * bool(others)
+    named = ", ".join(f"`{name}`" for name in others)
+    more = f" And {named}{change.emptied}." * bool(others)
 
     @router.patch(
         f"/{{{noun}_id}}",

@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from fastapi import APIRouter, Depends, Query, Request, Response, status
 from pydantic import BaseModel, ConfigDict, Field
@@ -23,6 +23,7 @@ from service.http.errors import BODY_PROBLEMS, invalid, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
+from service.resources.changes import Change
 from service.resources.jobs import (
     JobStatus,
     Words,
@@ -40,6 +41,7 @@ from service.wire.stages import STAGES, AnswerStage
 from store import fits, lookup, records
 from store.answers import answer_stage
 from store.database import Store
+from store.jobs import Priority
 from store.labels import Labels, Text, labels_of
 from worker.queue import open_queues
 
@@ -47,6 +49,11 @@ router = APIRouter(prefix="/fits", tags=["fits"])
 
 FitStage = TypeAliasType("FitStage", Literal["training", "refining"])
 StoppedBy = TypeAliasType("StoppedBy", Literal["steps", "budget", "early"])
+FitPriority = TypeAliasType("FitPriority", Priority)
+PRIORITIES = (
+    "Among the fits of a project that wait: `high` ones start first, `low` ones when no other "
+    "waits. Projects take turns whatever theirs are."
+)
 
 
 class FitCreate(Labels):
@@ -76,6 +83,7 @@ class FitCreate(Labels):
         "of the same subject or species. The fit has its `dictionary_sizes`, and 1100 `steps` "
         "unless these are given.",
     )
+    priority: FitPriority = Field("normal", description=PRIORITIES)
     calibration: Literal["dataset"] | None = Field(
         None,
         description="`dataset`: `calibration` of `config` is that which came with the dataset.",
@@ -131,6 +139,7 @@ class Fit(BaseModel):
                 "frames": 3309,
                 "corrections": {"count": 0, "checksum": None},
                 "from_model": None,
+                "priority": "normal",
                 "config": FitConfig().model_dump(mode="json"),
                 "tags": ["pilot"],
                 "metadata": {"subject": "M7"},
@@ -168,6 +177,7 @@ class Fit(BaseModel):
         description="Of the dataset when this was made: it sees no others."
     )
     from_model: str | None = Field(description="The model whose weights it started with.")
+    priority: FitPriority = Field(description=PRIORITIES)
     config: FitConfig | None = Field(
         description="With defaults filled in; null if the job that asked for the fit had none that "
         "is valid."
@@ -208,6 +218,7 @@ class Fit(BaseModel):
                 "frames": record.frames,
                 "corrections": CorrectionsState.of(record),
                 "from_model": record.from_model,
+                "priority": record.priority,
                 "config": record.config or None,
                 "job_id": record.job_id,
                 "attempt": record.attempt,
@@ -227,6 +238,19 @@ class Fit(BaseModel):
                 **labels_of(record),
             }
         )
+
+
+class FitChange(Change):
+    """What to change of a fit; what is left out, or null, stays as it is."""
+
+    emptied: ClassVar = ""
+
+    priority: FitPriority | None = Field(None, description=PRIORITIES)
+
+    def columns(self) -> dict[str, Any]:
+        """Return the record's columns that change, with their new values."""
+        more = {} if self.priority is None else {"priority": self.priority}
+        return super().columns() | more
 
 
 class FitPage(Page[Fit]):
@@ -268,6 +292,7 @@ def create_fit(
         name=body.name,
         config=config,
         from_model=body.from_model,
+        priority=body.priority,
         labels=body,
         max_queued=settings.max_queued_fits,
         idempotency=idempotency(request, idempotency_key, upload),
@@ -334,4 +359,5 @@ add_job_routes(
         cancel="Cancel a queued fit at once, a running one within two seconds.",
         progress="while it goes on",
     ),
+    change=FitChange,
 )

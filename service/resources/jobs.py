@@ -13,7 +13,7 @@ from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.http.keyring import still_let_in
 from service.http.preconditions import etag_of
-from service.resources.changes import add_change_route
+from service.resources.changes import Change, add_change_route
 from service.resources.events import EventsDep
 from service.resources.lists import Columns
 from store import jobs, lookup
@@ -75,6 +75,7 @@ def add_job_routes(
     cancel: Callable[[Store, Redis, str], Job],
     delete: Callable[[Store, str], None],
     words: Words,
+    change: type[Change] = Change,
 ) -> None:
     """Add the operations on one job: describe, change, delete, cancel, follow.
 
@@ -84,6 +85,8 @@ def add_job_routes(
         The JSON form of a job, and the function that makes it from a record.
     cancel, delete
         Functions that do so, and raise as those of ``store.jobs``.
+    change
+        The JSON form of what can be changed.
     """
     noun = kind.noun
     path = f"/{{{noun}_id}}"
@@ -100,7 +103,7 @@ def add_job_routes(
         response.headers["ETag"] = etag_of(job)
         return to_wire(job)
 
-    add_change_route(router, kind, form, to_wire)
+    add_change_route(router, kind, form, to_wire, change=change)
 
     @router.delete(
         path,

@@ -160,7 +160,14 @@ def test_a_data_folder_is_migrated_as_it_is_opened(tmp_path: Path) -> None:
         execute(older, f"ALTER TABLE datasets DROP COLUMN {column}")
     execute(older, *(f"ALTER TABLE {kind} DROP COLUMN version" for kind in ("fits", "models")))
     execute(older, "ALTER TABLE lifts DROP COLUMN uncertainty")
-    added = ("report_key", "report_words", "first_key", "first_model_key", "first_bytes")
+    added = (
+        "report_key",
+        "report_words",
+        "first_key",
+        "first_model_key",
+        "first_bytes",
+        "priority",
+    )
     execute(older, *(f"ALTER TABLE fits DROP COLUMN {name}" for name in added))
     execute(older, *(f"DROP INDEX ix_{kind}_name" for kind in ("datasets", "fits", "lifts")))
     execute(older, "DROP INDEX ix_models_name", "DROP INDEX ix_models_fit_id")

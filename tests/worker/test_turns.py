@@ -10,12 +10,14 @@ from store.authors import Author
 from store.capture import Capture
 from store.database import Store
 from store.datasets import CaptureDescription
+from store.jobs import Priority
 from store.records import FitRecord
 from tests.deployments import on_every_deployment
 from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for_step, wait_until
 from worker.fair_order import bring_forward, note_turn
 from worker.queue import WorkQueue, enqueue, open_queue
+from worker.schedule import Expected, expected
 from worker.settings import WorkerSettings
 
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
@@ -27,11 +29,17 @@ class Users:
     def __init__(self, store: Store, redis: Redis, capture: Capture) -> None:
         self._store, self._capture, self.queue = store, capture, open_queue(redis)
 
-    def ask(self, project: str, key_id: str = "1", config: dict[str, Any] = BRIEF) -> str:
+    def ask(
+        self,
+        project: str,
+        key_id: str = "1",
+        config: dict[str, Any] = BRIEF,
+        priority: Priority = "normal",
+    ) -> str:
         """Queue a fit, and return its identifier, which is its job's, too."""
         mine = self._store.on_behalf_of(Author(project, key_id))
         dataset = datasets.create(mine, self._capture, CaptureDescription("figure"))
-        fit = fits.create(mine, dataset_id=dataset.id, name="f", config=config)
+        fit = fits.create(mine, dataset_id=dataset.id, name="f", config=config, priority=priority)
         enqueue(self.queue, fit)
         return fit.id
 
@@ -107,3 +115,71 @@ def test_a_long_fit_gives_way_and_goes_on_where_it_was(
     assert (went_on.attempt, went_on.crashes, went_on.status) == (2, 0, "running")
     fits.cancel(store, long)
     wait_until(store, own, "succeeded")
+
+
+def test_urgent_fits_of_a_project_come_first_and_push_nobody_else_back(
+    store: Store, users: Users
+) -> None:
+    greedy = {
+        name: [users.ask("greedy", key, priority=name) for key in ("1", "1", "2")]
+        for name in ("low", "normal", "high")
+    }
+    others = [users.ask("other") for _ in range(4)]
+    taken = taken_in_turn(store, users.queue)
+    assert taken[1:8:2] == others
+    own = [fit for fit in taken if fit not in others]
+    for name, place in (("high", 0), ("normal", 3), ("low", 6)):
+        assert set(own[place : place + 3]) == set(greedy[name])
+
+
+def test_an_urgent_fit_takes_the_place_of_one_that_runs(
+    store: Store, users: Users, start_worker: StartWorker
+) -> None:
+    long = users.ask("one", config=LONG)
+    start_worker()
+    wait_for_step(store, long, 1)
+    low, high = users.ask("one", priority="low"), users.ask("one", priority="high")
+    wait_until(store, high, "succeeded")
+    assert lookup.get(store, FitRecord, low).status == "queued"
+    fits.cancel(store, long)
+    wait_until(store, low, "succeeded")
+
+
+def test_fits_start_in_the_expected_order(
+    store: Store, users: Users, start_worker: StartWorker
+) -> None:
+    first = [users.ask("greedy") for _ in range(3)]
+    others = [users.ask("other"), users.ask("other", priority="high")]
+
+    def expect(fit: str) -> Expected:
+        found = expected(store, users.queue.connection, fit, 300.0)
+        assert found is not None
+        return found
+
+    before = {fit: expect(fit) for fit in (*first, *others)}
+    assert all(
+        (of.start, of.end, of.workers, of.measured) == (None, None, 0, 0) for of in before.values()
+    )
+    order = sorted(before, key=lambda fit: before[fit].ahead)
+    assert [before[fit].ahead for fit in order] == [0, 1, 2, 3, 4]
+    assert order == [first[0], others[1], first[1], others[0], first[2]]
+    start_worker()
+    wait_until(store, order[0], "succeeded")
+    wait_for(
+        lambda: (
+            expected(store, users.queue.connection, order[-1], 300.0) is None
+            or expect(order[-1]).measured
+        ),
+        "a duration",
+        60,
+    )
+    for fit in order:
+        wait_until(store, fit, "succeeded")
+    started = {fit: lookup.get(store, FitRecord, fit).started_at or 0.0 for fit in order}
+    assert sorted(started, key=lambda fit: started[fit]) == order
+    assert expected(store, users.queue.connection, order[0], 300.0) is None
+    last = expect(users.ask("greedy"))
+    assert (last.ahead, last.workers, last.measured) == (0, 1, 5)
+    assert last.start is not None
+    assert last.end is not None
+    assert last.end > last.start

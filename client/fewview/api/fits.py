@@ -17,6 +17,7 @@ from fewview.api.label_forms import FitLabels
 from fewview.api.lifting import Lift, identifier, room_query
 from fewview.api.operations import Driver, operation
 from fewview.api.report_forms import FitReport
+from fewview.api.schedule_forms import FitSchedule
 from fewview.api.steps import Request, Steps, once, path
 from fewview.api.stored import labels
 
@@ -35,6 +36,7 @@ class Fits(Jobs[Driver, Fit]):
         *,
         name: str | None = None,
         from_model: Model | str | None = None,
+        priority: str | None = None,
         calibration: Calibration | None = None,
         tags: Iterable[str] = (),
         metadata: Mapping[str, Any] | None = None,
@@ -46,6 +48,8 @@ class Fits(Jobs[Driver, Fit]):
         ----------
         from_model
             A model of the same keypoints from whose weights the fit starts.
+        priority
+            ``high``, ``normal`` or ``low``, among the fits of a project that wait.
         calibration
             Given cameras: a calibration file, whose cameras have the names of the dataset's views
             (:func:`fewview.calibration.for_views`) or else are in their order; or a list in the
@@ -73,6 +77,7 @@ class Fits(Jobs[Driver, Fit]):
             "dataset_id": identifier(dataset),
             "name": name,
             "from_model": None if from_model is None else identifier(from_model),
+            "priority": priority,
             "calibration": "dataset" if calibration == "dataset" else None,
             "config": config or None,
         }
@@ -94,6 +99,13 @@ class Fits(Jobs[Driver, Fit]):
         """
         return self._wait(
             identifier(fit), on_progress, lambda found: found.answer_stage is not None
+        )
+
+    @operation
+    def schedule(self, fit: Fit | str) -> Steps[FitSchedule]:
+        """Return when a fit is expected to start and to end, as the queue is now."""
+        return self._call(
+            Request("GET", path("fits", identifier(fit), "schedule"), form_in(FitSchedule))
         )
 
     @operation

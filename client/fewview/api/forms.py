@@ -170,6 +170,7 @@ class Fit(Job):
     model_id: str | None = None
     version: str | None = None  # of Fewview that made or ended it
     verdict: Verdict | None = None
+    priority: str = "normal"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -19,6 +19,9 @@ from fewview.commands.talking import (
     say,
     talking,
 )
+
+if TYPE_CHECKING:
+    from fewview.api.schedule_forms import FitSchedule
 
 CalibrationFile = Annotated[
     Path | None,
@@ -69,6 +72,10 @@ def fit(
     mend: MendOption = None,
     name: Annotated[str | None, typer.Option(help="Of the fit and its model.")] = None,
     from_model: Annotated[str | None, typer.Option(help="A model to start from: mdl_...")] = None,
+    priority: Annotated[
+        Literal["high", "normal", "low"] | None,
+        typer.Option(help="Among the fits of your project that wait."),
+    ] = None,
     tag: Tags = None,
     metadata: Metadata = None,
     url: Url = None,
@@ -93,10 +100,13 @@ def fit(
             dataset,
             name=name,
             from_model=from_model,
+            priority=priority,
             tags=tag or (),
             metadata=fields_in(metadata, "--metadata"),
             **fields,
         )
+        if not as_json:
+            echo(_in_words(client.fits.schedule(made)), err=True)
         if not follow:
             say(made.raw, made.id, as_json=as_json)
             return
@@ -106,6 +116,20 @@ def fit(
         for line in findings_in(done.raw, names):
             echo(line, err=True)
         say(done.raw, str(done.model_id), as_json=as_json)
+
+
+def _in_words(schedule: "FitSchedule") -> str:
+    """Say when a fit is expected to start and to end, in local time."""
+    ahead = f"{schedule.ahead} fit{'s' * (schedule.ahead != 1)} ahead"
+    if schedule.status == "queued" and not schedule.workers:
+        return f"{ahead}; no worker takes from its queue: fewview worker starts one"
+    start, end = (
+        when and when.astimezone().strftime("%H:%M:%S")
+        for when in (schedule.expected_start, schedule.expected_end)
+    )
+    if start is None or end is None:
+        return f"{ahead}; how long a fit takes is known after the first"
+    return f"{ahead}; expected to start at {start} and to end at {end}"
 
 
 def config_in(

@@ -8,6 +8,7 @@ export type Dataset = Schemas["Dataset"];
 export type DatasetPreview = Schemas["DatasetPreview"];
 export type CalibrationPreview = Schemas["CalibrationPreview"];
 export type Fit = Schemas["Fit"];
+export type FitSchedule = Schemas["FitSchedule"];
 export type Model = Schemas["Model"];
 export type ModelSummary = Schemas["ModelSummary"];
 export type ModelCameras = Schemas["ModelCameras"];
@@ -24,6 +25,7 @@ export type LiftStream = Schemas["LiftStream"];
 export type Kind = "datasets" | "fits" | "models";
 
 export const getFit = (id: string) => askJson<Fit>(`fits/${encodeURIComponent(id)}`);
+export const getSchedule = (id: string) => askJson<FitSchedule>(`fits/${encodeURIComponent(id)}/schedule`);
 export const getDataset = (id: string) => askJson<Dataset>(`datasets/${encodeURIComponent(id)}`);
 export const readDataset = async (id: string) => {
   const { found, tag } = await askTagged<Dataset>(`datasets/${encodeURIComponent(id)}`);

@@ -48,6 +48,37 @@ def test_a_fit_is_queued_with_its_defaults_filled_in(api: TestClient) -> None:
     problem(api.get(f"/fits/{fit['id']}"), 404, "not_found")
 
 
+def test_a_fit_has_a_priority_that_can_be_changed_while_it_waits(api: TestClient) -> None:
+    body = {"dataset_id": make_dataset(api)["id"]}
+    fit = api.post("/fits", json=body).json()
+    assert fit["priority"] == "normal"
+    changed = api.patch(f"/fits/{fit['id']}", json={"priority": "high"}).json()
+    assert changed["priority"] == "high"
+    assert api.patch(f"/fits/{fit['id']}", json={"priority": None}).json() == changed
+    urgent = api.post("/fits", json=body | {"priority": "low"}).json()
+    assert urgent["priority"] == "low"
+    refused = api.post("/fits", json=body | {"priority": "urgent"})
+    message = problem(refused, 422, "invalid_input", "/priority")
+    assert "'high', 'normal' or 'low'" in message
+
+
+def test_a_fit_that_waits_knows_its_place_and_no_times_without_workers(api: TestClient) -> None:
+    body = {"dataset_id": make_dataset(api)["id"]}
+    first, second = (api.post("/fits", json=body).json()["id"] for _ in range(2))
+    urgent = api.post("/fits", json=body | {"priority": "high"}).json()["id"]
+    known = {fit: api.get(f"/fits/{fit}/schedule").json() for fit in (first, second, urgent)}
+    ahead = {fit: known[fit]["ahead"] for fit in known}
+    assert ahead[urgent] < ahead[first] < ahead[second]
+    for schedule in known.values():
+        assert schedule["status"] == "queued"
+        assert schedule["expected_start"] is schedule["expected_end"] is None
+    cancelled = api.post(f"/fits/{second}/cancel").json()
+    ended = api.get(f"/fits/{second}/schedule").json()
+    assert (ended["status"], ended["ahead"]) == ("cancelled", 0)
+    assert ended["expected_end"] == cancelled["finished_at"]
+    problem(api.get("/fits/fit_gone/schedule"), 404, "not_found")
+
+
 @pytest.mark.parametrize(
     ("config", "pointer"),
     [

@@ -1,0 +1,74 @@
+"""When a fit is expected to start and to end."""
+
+from datetime import UTC, datetime
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.http.dependencies import RedisDep, StoreDep
+from service.http.errors import problems
+from service.resources.fits import FitDep
+from service.resources.jobs import JobStatus
+from worker.schedule import Expected, expected
+from worker.settings import WorkerSettings
+
+router = APIRouter(prefix="/fits", tags=["fits"])
+
+ENDED = Expected(ahead=0, start=None, end=None, workers=0, measured=0)
+
+
+class FitSchedule(BaseModel):
+    """When a fit is expected to start and to end, as the queue is now."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "status": "queued",
+                "ahead": 3,
+                "expected_start": "2026-03-01T09:33:10Z",
+                "expected_end": "2026-03-01T09:33:52Z",
+                "workers": 2,
+                "measured_fits": 50,
+            }
+        }
+    )
+
+    status: JobStatus
+    ahead: int = Field(
+        description="Fits that wait now and are expected to start before it: projects take turns, "
+        "and of each the most urgent ones come first."
+    )
+    expected_start: datetime | None = Field(
+        description="Once it has started, when. Null where no worker takes from its queue or no "
+        "duration is known."
+    )
+    expected_end: datetime | None = Field(
+        description="Once it has ended, when. Else null as `expected_start` is."
+    )
+    workers: int = Field(description="Those that take from its queue; 0 once it has ended.")
+    measured_fits: int = Field(
+        description="Of how many fits of this deployment durations are known: the last 50, and of "
+        "these the ones of like size count most."
+    )
+
+
+@router.get("/{fit_id}/schedule", responses=problems("not_found", "unavailable"))
+def get_fit_schedule(fit: FitDep, store: StoreDep, redis: RedisDep) -> FitSchedule:
+    """Return when a fit is expected to start and to end, from durations that were measured.
+
+    Fits that are queued later, and lifts, can delay it. Ask again every few seconds.
+    """
+    turn_seconds = WorkerSettings().fit_turn_seconds
+    found = expected(store, redis, fit.id, turn_seconds) or ENDED
+    return FitSchedule(
+        status=fit.status,
+        ahead=found.ahead,
+        expected_start=_moment(found.start if fit.started_at is None else fit.started_at),
+        expected_end=_moment(found.end if fit.finished_at is None else fit.finished_at),
+        workers=found.workers,
+        measured_fits=found.measured,
+    )
+
+
+def _moment(seconds: float | None) -> datetime | None:
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
