@@ -71,9 +71,6 @@ SELF = f"{CALIBRATING}.self_calibration"
 
 MECHANISMS = (
     Mechanism(
-        "sharpening", LIFT, ("lifting/sharpening.py",), (_refiner(sharpens=lambda *_: False),)
-    ),
-    Mechanism(
         "stray keypoints and second looks",
         LIFT,
         ("lifting/stray_keypoints.py", "lifting/second_looks.py", "lifting/rays.py"),

@@ -22,13 +22,10 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 
 NEIGHBOURS = 10  # that make a prior where views hide keypoints
-NOISY_NEIGHBOURS = 20  # and where keypoints are noisy
 LEAST_STRUCTURES = 40  # with fewer, ten are no neighbours
 WEIGHTS = np.array([0.01, 0.1, 1.0])  # of a keypoint seen by no view, by one, by more
 ALONG_RAY = 0.25  # weight of a difference along the ray of a keypoint's only view
-# Variance beside the neighbours' directions, in mean variances of their coordinates: where views
-# hide keypoints, and where keypoints are noisy.
-SPREAD, NOISY_SPREAD = 1.0, 0.1
+SPREAD = 1.0  # variance beside the neighbours' directions, in mean variances of their coordinates
 LEAST_SPREAD = 1e-4  # standard deviation, radii of the structure
 
 
@@ -75,14 +72,14 @@ def no_structures(keypoints: int) -> KnownStructures:
 
 @inner
 def prior_of_neighbours(
-    known: KnownStructures, points: Float64, views: Int64, rays: Float64, size: int, spread: float
+    known: KnownStructures, points: Float64, views: Int64, rays: Float64
 ) -> ShapePrior:
-    """Return the shape prior from the `size` known structures nearest to `points` (P, 3).
+    """Return the shape prior from the known structures nearest to `points` (P, 3).
 
     Points are aligned to the mean of the shapes. `views` (P,) counts the views that show a
     keypoint; if it is one, `rays` (P, 3) is the unit vector of that view's ray.
     """
-    count = len(points)
+    count, size = len(points), NEIGHBOURS
     nearest = np.zeros(size, np.int64)
     _find_nearest(known, points, views, rays, nearest)
     mean, weight = np.zeros((count, 3)), np.zeros(count)
@@ -103,7 +100,7 @@ def prior_of_neighbours(
                 offset = known.points[nearest[q], p, i] - mean[p, i]
                 basis[3 * p + i, q] = offset * math.sqrt((1.0 + 1.0 / size) / size)
                 variance += offset * offset / (3 * count * size)
-    deviation = math.sqrt(spread * variance + LEAST_SPREAD**2)
+    deviation = math.sqrt(SPREAD * variance + LEAST_SPREAD**2)
     inner_products, factor = np.empty((size, size)), np.empty((size, size))
     for q in range(size):
         for r in range(size):

@@ -57,6 +57,7 @@ Int64 = NDArray[np.int64]
 LEAST_FRAMES = 20  # that are used
 OPERATIONS = 300_000_000  # in one iteration: half a second
 WORSE = 1.2  # times the previous noise: with more, adjusted cameras are not used
+BENT = 1.05  # times the previous noise: beyond, constant lengths have bent settled cameras
 UNSURE = 0.15  # of the log focal length: shapes determine it as well
 MORE_ROUNDS = 2  # of learning, once cameras are adjusted to detected keypoints
 EXACT = 2 * LEAST_MEASURED  # of the image's side: keypoints with less noise are exact
@@ -226,6 +227,8 @@ def _refined(
     except np.linalg.LinAlgError:  # they add nothing
         if refined.kept is None:
             raise
+        return refined
+    if settled and best.measured_noise > BENT * refined.best.measured_noise:
         return refined
     cleared = refined._replace(best=best, kept=None)
     return refined if best is refined.best or not within(cleared) else cleared

@@ -49,7 +49,6 @@ class Refiner(NamedTuple):
     held: SkeletonLengths  # in frames that two views or more show
     known: KnownStructures  # of the fit
     rejecting: bool  # whether keypoints that stray are left out
-    sharpens: bool  # whether known structures sharpen frames from which noise was removed
 
 
 class Explanation(NamedTuple):

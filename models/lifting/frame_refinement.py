@@ -35,7 +35,6 @@ from models.lifting.explanations import (
     write_errors,
 )
 from models.lifting.neighbours import complete_from_neighbours
-from models.lifting.sharpening import sharpen
 from models.lifting.skeleton_lengths import SkeletonLengths, hold_lengths, no_lengths
 from models.lifting.stray_keypoints import Explained, look_again
 from models.network.answers import RIG_NOT_USED, Answers
@@ -95,7 +94,6 @@ def make_refiner(
         no_lengths() if skeleton is None or not rig.static.all() else skeleton,
         no_structures(len(shapes.mean)) if structures is None else structures,
         rejecting and bool(rig.static.all()),
-        structures is not None and bool(rig.static.all()),
     )
 
 
@@ -130,7 +128,6 @@ def refine_frames(
     refiner: Refiner,
     seen: Observations,
     left_out: Float32,
-    detected: Float32,
     previous: Answers,
     always: bool,
     begin: int,
@@ -145,8 +142,6 @@ def refine_frames(
     answers of the previous frames, N or none. A frame whose views all have a perspective camera
     there starts from it if that explains it better, and is marked as continued. A frame that the
     rig does not fit gets the finding `RIG_NOT_USED`.
-
-    `detected` (N, K, P, 3) are the keypoints before noise was removed (see `ObservedFrames`).
 
     `verdicts` (N, K, P), 0 at first, are written for keypoints that stray, and for those of
     `left_out` (N, K, P, 3) that return (see `look_again`). A frame that has any is not refined.
@@ -197,8 +192,6 @@ def refine_frames(
         accepted = _accept(best, cost, answers.reprojection_errors[n], usable, always)
         if accepted:
             answers.continued[n] = continued
-            if there > 1 and not apart and refiner.sharpens and len(detected):
-                _sharpen(refiner, detected[n], views, usable, best, other)
             if there > 1 and not apart and len(refiner.held.lengths):
                 _hold_lengths(refiner, views, best)
             _write(refiner, best, n, usable, answers)
@@ -218,30 +211,6 @@ def _pixels_into(seen: Observations, n: int, noise: float, views: Views) -> None
                 views.keypoints[k, p, i] = (
                     seen.keypoints[n, k, p, i] * seen.sizes[n, k] + seen.centres[n, k, i]
                 )
-
-
-@inner
-def _sharpen(
-    refiner: Refiner,
-    detected: Float32,
-    views: Views,
-    usable: Bool,
-    explanation: Explanation,
-    buffer: Explanation,
-) -> None:
-    """Sharpen the points by known structures and the `detected` keypoints (K, P, 3); poses stay."""
-    cameras, count, _ = detected.shape
-    shown = Views(np.empty((cameras, count, 2)), np.empty((cameras, count)))
-    weight = 0.0
-    for k in range(cameras):
-        for p in range(count):
-            shown.weights[k, p] = detected[k, p, 2] if usable[k] else 0.0
-            weight += shown.weights[k, p]
-            for i in range(2):
-                shown.keypoints[k, p, i] = detected[k, p, i]
-    if weight > 0.0:
-        sharpen(refiner, shown, usable, explanation, buffer)
-        write_errors(refiner.rig, views, explanation)
 
 
 @inner

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.bundle.frame_equations import SIMILARITY
-from models.bundle.known_structures import NEIGHBOURS, SPREAD, prior_of_neighbours
+from models.bundle.known_structures import prior_of_neighbours
 from models.bundle.problem import Rig, Views
 from models.lifting.explanations import (
     Explanation,
@@ -49,7 +49,7 @@ def complete_from_neighbours(
     measured, several = coverage_into(views, usable, start, shown, rays)
     if several:
         return
-    prior = prior_of_neighbours(refiner.known, start.points, shown, rays, NEIGHBOURS, SPREAD)
+    prior = prior_of_neighbours(refiner.known, start.points, shown, rays)
     cost, misfit = explain_with(prior, rig, views, usable, start, other)
     share = misfit / max(measured - SIMILARITY, 1)
     if math.isfinite(cost) and share > 1.0:

@@ -65,7 +65,7 @@ def _lift(
     lifter: Lifter, observed: ObservedFrames, before: Answers, *, judging: bool
 ) -> tuple[Answers, Int8]:
     """Return answers and, if `judging`, verdicts (N, K, P) on keypoints; else (0, K, P)."""
-    observations, judged, _, left_out, detected, _ = observed
+    observations, judged, _, left_out, _, _ = observed
     shape = observations.weights.shape
     answers = make_answers(*shape)
     if judged is not None:
@@ -88,7 +88,6 @@ def _lift(
                 lifter.refiner,
                 observations,
                 left_out,
-                detected,
                 before,
                 lifter.always,
                 *here,

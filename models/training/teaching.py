@@ -161,17 +161,7 @@ class Teaching:
             self.structure = learn_usual_structure(lift, found.shapes.mean)
         prior = self.as_prior(found, curve, structures=structures)
         skeleton = self._learn_lengths(prior, found)
-        if skeleton is None:
-            return prior
-        prior = self.as_prior(found, curve, skeleton, structures)
-        if structures is None:
-            return prior
-        # Lengths improve the structures, and so the sharpening of noisy frames by them.
-        lift = finished(self._lifted(prior, frames))
-        truer = known_structures(lift, self._data.weights[frames].numpy(), found.shapes.mean)
-        if truer is None:
-            return prior
-        return self.as_prior(found, curve, skeleton, truer._replace(believed=structures.believed))
+        return prior if skeleton is None else self.as_prior(found, curve, skeleton, structures)
 
     def usual(self) -> Usual:
         """Return the usual range of the frames of the fit, with the present network."""
@@ -344,10 +334,9 @@ class Teaching:
                 learnt = believe_where_better(learnt, self._unseen, make_prior, seed=seed)
             else:
                 learnt = learnt._replace(believed=structures.believed)
-            if learnt.believed.any() or self._removed_noise is not None:
-                structures = learnt
             if not learnt.believed.any():
                 break
+            structures = learnt
         return structures, lift
 
     def _lifted(self, prior: FittedPrior, frames: Tensor) -> Steps[LiftedFrames]:

@@ -129,8 +129,7 @@ def plain(prior: FittedPrior) -> FittedPrior:
 def test_limbs_of_noisy_lifts_keep_their_lengths(
     noisy: RigCapture, prior: FittedPrior, plain: FittedPrior
 ) -> None:
-    # The weights of known structures in noisy frames were learnt with lengths held, too.
-    held, loose = (without(p, "structures").lift(noisy.keypoints) for p in (prior, plain))
+    held, loose = (p.lift(noisy.keypoints) for p in (prior, plain))
     in_rig = (held.camera_models > 0).all(1) & (held.findings & RIG_NOT_USED == 0)
     assert in_rig.mean() > 0.6
     truth = noisy.points3d[in_rig]
