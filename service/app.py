@@ -74,6 +74,7 @@ from service.resources import (
 )
 from service.resources.events import Events
 from service.resources.integrity import Integrity
+from service.resources.schedules import Schedules
 from service.settings import Settings
 from store.access_keys import new_token
 from store.database import Store
@@ -176,6 +177,7 @@ def create_app(settings: Settings, page_key: str | None = None) -> FastAPI:
             str(settings.redis_url), retries=1, timeout_seconds=QUEUE_PATIENCE_SECONDS
         )
         _set_bounds(app, settings)
+        app.state.schedules = Schedules(app.state.store, app.state.redis, settings)
         app.state.events = Events(app.state.store, app.state.leaving)
         app.state.engine = _make_engine(app, settings)
         app.state.keyring = Keyring(app.state.store, fixed_callers(settings))

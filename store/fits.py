@@ -12,7 +12,7 @@ carries work to workers: its status of a job is never used.
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import Row, select, update
 from sqlalchemy.orm import Session
 
 from models.settings.calibration import Keypoint
@@ -234,8 +234,8 @@ def cancel(store: Store, fit_id: str) -> FitRecord:
 
 def recover(
     store: Store, *, expired: bool = True, on_loss: Callable[[], None] = lambda: None
-) -> list[FitRecord]:
-    """Deal with fits whose attempt died; return all queued fits, oldest first.
+) -> Sequence[Row[str, str]]:
+    """Deal with fits whose attempt died; return `id` and `job_id` of all that wait, oldest first.
 
     A fit whose lease ran out is queued again, or cancelled if that was asked, or failed if it has
     taken down too many workers.
@@ -249,7 +249,7 @@ def recover(
         Called for each fit that was taken from an attempt that died.
     """
     lost = (FitRecord.status == "running") & (FitRecord.lease_expires_at < clock.now())
-    queued = select(FitRecord).where(FitRecord.status == "queued").order_by(FitRecord.id)
+    waiting = select(FitRecord.id, FitRecord.job_id).where(FitRecord.status == "queued")
     with store.reading() as session:  # the common case takes no write lock
         any_lost = session.scalar(select(FitRecord.id).where(lost).limit(1)) is not None
     if any_lost:
@@ -269,7 +269,7 @@ def recover(
         for _ in taken:
             on_loss()
     with store.reading() as session:
-        return list(session.scalars(queued))
+        return session.execute(waiting.order_by(FitRecord.id)).all()
 
 
 def lose(session: Session, fit: FitRecord, now: float, code: str, why: str) -> None:

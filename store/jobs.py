@@ -28,6 +28,7 @@ MAX_CRASHES = 5  # workers that one fit, or one chunk of a lift, may take down
 
 Priority = Literal["high", "normal", "low"]  # of a fit among those of its project
 RANKS = {name: rank for rank, name in enumerate(get_args(Priority))}
+RAISE_SECONDS = 24 * 3600.0  # a guess: who looks a day later shall not find that nothing was done
 
 Job = TypeVar("Job", FitRecord, LiftRecord)
 Make = Callable[[Session, str], Job]  # of a record, in this session, with this identifier
@@ -115,15 +116,27 @@ class Waiting(NamedTuple):
         return self.rank < other.rank or (self.rank == other.rank and self.who != other.who)
 
 
-def waiting(store: Store) -> dict[str, Waiting]:
-    """Return the jobs that wait, or may be waiting, by their names on the queue."""
-    queued = select(FitRecord.job_id, FitRecord.project, FitRecord.key_id, FitRecord.priority)
+def rank(priority: str, waited_seconds: float) -> int:
+    """Return the rank of a fit: each day of waiting counts as the next priority."""
+    return max(RANKS[priority] - max(int(waited_seconds // RAISE_SECONDS), 0), RANKS["high"])
+
+
+def waiting(store: Store, *, running: str | None = None) -> dict[str, Waiting]:
+    """Return the jobs that wait, or may be waiting, by their names on the queue.
+
+    Parameters
+    ----------
+    running
+        The job of a fit that is looked for, too, though it may run.
+    """
+    columns = (FitRecord.job_id, FitRecord.project, FitRecord.key_id, FitRecord.priority)
+    wanted = (FitRecord.status == "queued") | (FitRecord.job_id == running)
+    of_fits = select(*columns, clock.now() - FitRecord.created_at).where(wanted)
     active = select(LiftRecord).where(LiftRecord.status.in_(("queued", "running")))
     with store.reading() as session:
-        fits = session.execute(queued.where(FitRecord.status == "queued")).all()
         found = {
-            name: Waiting(Who(project, key_id or NO_KEY), RANKS[priority])
-            for name, project, key_id, priority in fits
+            name: Waiting(Who(project, key_id or NO_KEY), rank(priority, waited))
+            for name, project, key_id, priority, waited in session.execute(of_fits)
         }
         for lift in session.scalars(active):
             found[waiting_job(lift)] = Waiting(who_owns(lift))

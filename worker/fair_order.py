@@ -6,9 +6,11 @@ urgent ones, of the key that has waited longest, the first. Redis numbers the tu
 are compared.
 """
 
+import heapq
 import logging
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Generic, TypeVar
 
 from redis import Redis
 from rq import Queue
@@ -25,20 +27,122 @@ TURN = "fewview:turn"  # the number of the last turn
 LAST_TURNS = "fewview:last-turns"  # of each project, and of each key
 MOST_KNOWN = 10_000  # projects and keys whose last turns are kept
 
+Lane = tuple[int, str]  # a rank and a key
+Name = TypeVar("Name", str, Lane)
+Turns = dict[str, float]  # the numbers of the last turns of projects and keys
+
+
+class _Order(Generic[Name]):
+    """Names by a rank that may grow at any time; of equals the one with the first place."""
+
+    def __init__(self, rank: Callable[[Name], Any]) -> None:
+        self._rank: Callable[[Name], Any] = rank
+        self._heap: list[tuple[Any, int, Name]] = []
+
+    def add(self, name: Name, place: int) -> None:
+        heapq.heappush(self._heap, (self._rank(name), place, name))
+
+    def first(self, waits: Callable[[Name], bool]) -> Name | None:
+        """Return the first that waits; those before it are forgotten until they come again."""
+        while self._heap:
+            known, place, name = self._heap[0]
+            if not waits(name):
+                heapq.heappop(self._heap)
+            elif (rank := self._rank(name)) != known:
+                heapq.heapreplace(self._heap, (rank, place, name))
+            else:
+                return name
+        return None
+
+
+class _Project:
+    """Jobs of one project that wait on one queue."""
+
+    def __init__(self, name: str, turns: Turns) -> None:
+        self._lanes: dict[Lane, deque[str]] = {}
+        self._order: _Order[Lane] = _Order(
+            lambda lane: (lane[0], turns.get(_name(Who(name, lane[1])), 0.0))
+        )
+
+    def lane(self, job: Waiting, place: int) -> deque[str]:
+        """Return where jobs of a rank and a key wait."""
+        name = job.rank, job.who.key_id
+        lane = self._lanes.setdefault(name, deque())
+        if not lane:
+            self._order.add(name, place)
+        return lane
+
+    def first(self) -> Lane | None:
+        """Return the lane whose turn it is."""
+        return self._order.first(lambda lane: bool(self._lanes[lane]))
+
+    def take(self) -> str:
+        lane = self.first()
+        assert lane is not None  # noqa: S101 (it is asked of projects with jobs)
+        return self._lanes[lane].popleft()
+
+
+class Line:
+    """Jobs that wait on one queue, to be taken in fair turns."""
+
+    def __init__(self, waiting: Iterable[tuple[str, Waiting]], turns: Turns) -> None:
+        """Line up jobs, which come in the order of the queue.
+
+        Parameters
+        ----------
+        turns
+            Who takes jobs from this line, or others, notes the turns in it.
+        """
+        self._turns = turns
+        self._projects: dict[str, _Project] = {}
+        self._order: _Order[str] = _Order(lambda project: turns.get(project, 0.0))
+        for place, (job_id, job) in enumerate(waiting):
+            self._lane(job, place).append(job_id)
+
+    def take(self) -> str | None:
+        """Take the job whose turn it is; None if there is none."""
+        name = self._order.first(self._projects.__contains__)
+        if name is None:
+            return None
+        project = self._projects[name]
+        taken = project.take()
+        if project.first() is None:
+            del self._projects[name]
+        return taken
+
+    def put_back(self, job_id: str, job: Waiting) -> None:
+        """Put a job that has ended its turn before the others of its rank and key."""
+        self._lane(job, -1).appendleft(job_id)
+
+    def gives_way(self, job: Waiting) -> bool:
+        """Return whether another job waits that goes on before one that has just had its turn."""
+        mine = job.who.project
+        if any(project != mine for project in self._projects):
+            return True
+        first = self._projects[mine].first() if mine in self._projects else None
+        return first is not None and Waiting(Who(mine, first[1]), first[0]).goes_before(job)
+
+    def _lane(self, job: Waiting, place: int) -> deque[str]:
+        name = job.who.project
+        if name not in self._projects:
+            self._projects[name] = _Project(name, self._turns)
+            self._order.add(name, place)
+        return self._projects[name].lane(job, place)
+
 
 def bring_forward(store: Store, queues: Iterable[Queue]) -> None:
     """Put the job whose turn it is at the front of each queue where several wait."""
     several = [queue for queue in queues if queue.count > 1]
     if not several:
         return
-    known = jobs.waiting(store)
+    waiting = jobs.waiting(store)
     for queue in several:
-        waiting = [job_id for job_id in queue.get_job_ids() if job_id in known]
-        if len({known[job_id] for job_id in waiting}) < 2:
+        line = [(job_id, waiting[job_id]) for job_id in queue.get_job_ids() if job_id in waiting]
+        owners = {job for _, job in line}
+        if len(owners) < 2:
             continue
-        turns = last_turns(queue.connection, [known[job_id].who for job_id in waiting])
-        first = min(waiting, key=lambda job_id: turns.place(known[job_id]))  # of equals the first
-        if first != waiting[0]:
+        first = Line(line, last_turns(queue.connection, {job.who for job in owners})).take()
+        if first is not None and first != line[0][0]:
             _put_first(queue, first)
 
 
@@ -48,46 +152,34 @@ def note_turn(store: Store, connection: Redis, job_id: str) -> None:
     if job is None:  # it was done already, or by another job
         return
     number = connection.incr(TURN)
-    names = (job.who.project, _name(job.who))
-    connection.zadd(LAST_TURNS, dict.fromkeys(names, number))
+    connection.zadd(LAST_TURNS, dict.fromkeys(names(job.who), number))
     connection.zremrangebyrank(LAST_TURNS, 0, -MOST_KNOWN - 1)
 
 
-def others_wait(store: Store, queues: Sequence[WorkQueue], job_id: str, mine: Waiting) -> set[str]:
-    """Return the jobs on queues that may take the place of one that runs."""
-    known = jobs.waiting(store)
-    waiting = {name for queue in queues for name in queue.get_job_ids()}
-    return {name for name in waiting - {job_id} if known.get(name, mine).goes_before(mine)}
-
-
-class Turns(NamedTuple):
-    """Numbers of last turns; of projects that had none, -1 for the last that came, -2 and so on."""
-
-    of_projects: dict[str, float]
-    of_keys: dict[Who, float]
-
-    def place(self, job: Waiting) -> tuple[float, int, float]:
-        """Return the place of a job among those that wait: the least is next."""
-        return self.of_projects[job.who.project], job.rank, self.of_keys[job.who]
+def others_wait(store: Store, queues: Sequence[WorkQueue], job_id: str) -> set[str]:
+    """Return the jobs on queues that go on before a fit that runs, whose turn is over."""
+    known = jobs.waiting(store, running=job_id)
+    mine = known.get(job_id)
+    if mine is None:  # it was deleted
+        return set()
+    waiting = {name for queue in queues for name in queue.get_job_ids()} - {job_id}
+    return {name for name in waiting if name in known and known[name].goes_before(mine)}
 
 
 def last_turns(connection: Redis, owners: Iterable[Who]) -> Turns:
-    """Return the numbers of the last turns of owners, who are in the order of their jobs."""
-    keys = list(dict.fromkeys(owners))
-    projects = list(dict.fromkeys(owner.project for owner in keys))
-    if not keys:
-        return Turns({}, {})
-    found = connection.zmscore(LAST_TURNS, [*projects, *map(_name, keys)])
-    of_projects = {
-        project: place - len(projects) if turn is None else turn
-        for place, (project, turn) in enumerate(zip(projects, found, strict=False))
-    }
-    of_keys = dict(zip(keys, (turn or 0.0 for turn in found[len(projects) :]), strict=True))
-    return Turns(of_projects, of_keys)
+    """Return the numbers of the last turns of projects and of their keys."""
+    asked = sorted({name for owner in owners for name in names(owner)})
+    scores = connection.zmscore(LAST_TURNS, asked) if asked else []
+    return {name: score or 0.0 for name, score in zip(asked, scores, strict=True)}
 
 
-def _name(owner: Who) -> str:
-    return f"{owner.project}/{owner.key_id}"
+def names(who: Who) -> tuple[str, str]:
+    """Return the names under which the turns of a project and of its key are known."""
+    return who.project, _name(who)
+
+
+def _name(who: Who) -> str:
+    return f"{who.project}/{who.key_id}"
 
 
 def _put_first(queue: Queue, job_id: str) -> None:

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from contextlib import suppress
 from functools import partial
 
 from pydantic import ValidationError
@@ -11,7 +12,7 @@ from rq.exceptions import DeserializationError, NoSuchJobError, StopRequested
 from sqlalchemy.exc import DataError, IntegrityError, SQLAlchemyError, StatementError
 
 from models.settings.config import FitConfig
-from store import clock, fits, jobs, lifts
+from store import clock, fits, jobs, lifts, lookup
 from store.database import Store
 from store.errors import InputError, NotFoundError
 from store.labels import Labels, storable
@@ -82,19 +83,25 @@ class Reconciler:
         )
         if time.monotonic() - now > clock.PROMPT_SECONDS:
             self.unsettle()
-        work: dict[str, FitRecord | LiftRecord] = {fit.job_id: fit for fit in queued}
+        work: dict[str, str | LiftRecord] = {fit.job_id: fit.id for fit in queued}
         work |= {
             jobs.waiting_job(lift): lift for lift in lifts.recover(self._store, expired=expired)
         }
         lost = work.keys() - waiting.keys()
         self._lost_since = {job_id: self._lost_since.get(job_id, now) for job_id in lost}
-        for job_id, record in work.items():
+        for job_id, found in work.items():
             if job_id in lost and now - self._lost_since[job_id] >= GRACE_SECONDS:
-                logger.warning("%s was on no queue: putting it back", record.id)
-                for queue in self._queues:
-                    queue.intermediate_queue.remove(job_id)
-                enqueue_again(self._connection, self._store, record)
+                with suppress(NotFoundError):  # it was cancelled and deleted meanwhile
+                    self._put_back(job_id, found)
                 del self._lost_since[job_id]
+
+    def _put_back(self, job_id: str, found: str | LiftRecord) -> None:
+        """Queue a fit, of which the identifier is known, or a lift again."""
+        record = lookup.get(self._store, FitRecord, found) if isinstance(found, str) else found
+        logger.warning("%s was on no queue: putting it back", record.id)
+        for queue in self._queues:
+            queue.intermediate_queue.remove(job_id)
+        enqueue_again(self._connection, self._store, record)
 
     def adopt(self, queue: WorkQueue, job_id: str) -> bool:
         """Record the request of a job on a queue, if it is new; return whether it may run.

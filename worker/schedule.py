@@ -1,34 +1,32 @@
 """When fits are expected to start and to end.
 
-The order of the queues (`worker.fair_order`) is played through with the workers there are. How long
-a fit takes is known from those that this deployment has made: the median of their durations, where
-fits of like size count most. Lifts are left out, for they give way, and so is what comes later.
+The order of the queues (`worker.fair_order`) is played through with the workers there are, and with
+durations of fits that were made (`worker.durations`). Lifts are left out, for they give way, and so
+is what comes later.
 """
 
 import heapq
-import math
-from collections import defaultdict, deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import accumulate
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from redis import Redis
 from rq import Worker
-from sqlalchemy import Select, func, select
+from sqlalchemy import Select, select
 
 from store import clock
-from store.authors import ALL_PROJECTS
 from store.database import Store
-from store.jobs import RANKS, Waiting
+from store.jobs import Waiting, rank
 from store.records import DatasetRecord, FitRecord
 from store.shares import NO_KEY, Who
-from worker.fair_order import Turns, last_turns
+from worker import at_work
+from worker.durations import MEASURED, Durations, Size
+from worker.fair_order import Line, Turns, last_turns, names
 from worker.queue import open_queues
 
-MEASURED = 50  # of the last fits, how many durations are looked at
-LIKE = 1.0  # distance of log sizes in which the weight of a duration falls to 1 / e
-MOST_TURNS = 100_000  # that are played through
+MOST_EVENTS = 50_000  # that are played through
+HANDOVER_SECONDS = 1.0  # from one fit of a worker to its next: `python -m benchmarks.turns`
 
 
 class Expected(NamedTuple):
@@ -62,89 +60,67 @@ class _Fit:
     running: bool
     job: Waiting
     left: float  # seconds
+    turn: float  # seconds that are left of its turn
+    known: bool  # how long it takes
     started: float | None
+    queue: str = "fits"
+    place: int = 0  # among the starts
     starts: float | None = None
     ends: float | None = None
 
 
-@dataclass
-class _Line:
-    """The fits that wait on one queue: by project and rank, of each key in their order."""
+class _Worker(NamedTuple):
+    """A worker that is there: the queues it takes from, and its job."""
 
-    waiting: dict[str, dict[int, dict[Who, deque[_Fit]]]] = field(default_factory=dict)
-
-    def add(self, fit: _Fit, *, at_front: bool = False) -> None:
-        of_project = self.waiting.setdefault(fit.job.who.project, {})
-        fits = of_project.setdefault(fit.job.rank, {}).setdefault(fit.job.who, deque())
-        (fits.appendleft if at_front else fits.append)(fit)
-
-    def heads(self) -> Iterator[_Fit]:
-        """Yield the first fit of each key, of the most urgent ones of each project."""
-        for of_project in self.waiting.values():
-            for fits in of_project[min(of_project)].values():
-                yield fits[0]
-
-    def remove(self, fit: _Fit) -> None:
-        """Remove a fit that is the first of its key."""
-        project, rank, who = fit.job.who.project, fit.job.rank, fit.job.who
-        of_project = self.waiting[project]
-        of_project[rank][who].popleft()
-        if not of_project[rank][who]:
-            del of_project[rank][who]
-        if not of_project[rank]:
-            del of_project[rank]
-        if not of_project:
-            del self.waiting[project]
+    queues: tuple[str, ...]
+    job_id: str | None
 
 
-def expected(store: Store, connection: Redis, fit_id: str, turn_seconds: float) -> Expected | None:
-    """Return what is expected of a fit; None if it has ended, or is not there.
+def schedules(store: Store, connection: Redis, turn_seconds: float) -> dict[str, Expected]:
+    """Return what is expected of all fits that wait or run.
 
     Parameters
     ----------
     turn_seconds
         How long a fit keeps its worker while others wait.
     """
+    queued = {queue.name: queue.get_job_ids() for queue in open_queues(connection)}
+    workers = [worker for worker in _workers(connection) if queued.keys() & set(worker.queues)]
     with store.reading() as session:
         now = clock.read(session)
-        durations = _durations(session.execute(_measured(), execution_options=ALL_PROJECTS).all())
-        rows = session.execute(_open(), execution_options=ALL_PROJECTS).all()
-    fits = [_of_row(row, durations, now) for row in rows]
-    mine = next((fit for fit in fits if fit.id == fit_id), None)
-    if mine is None:
-        return None
-    queues = open_queues(connection)
-    lines = {queue.name: queue.get_job_ids() for queue in queues}
-    workers = [
-        frozenset(worker.queue_names())
-        for worker in Worker.all(connection)
-        if set(worker.queue_names()) & set(lines)
-    ]
-    here = next((name for name, jobs in lines.items() if mine.job_id in jobs), "fits")
-    for_it = sum(here in names for names in workers)
-    turns = last_turns(connection, [fit.job.who for fit in fits])
-    started = _play(fits, lines, workers, turns, now, turn_seconds)
-    ahead = started.index(mine) if mine in started else len(started)
-    known = bool(durations) and (mine.running or for_it > 0)
-    return Expected(
-        0 if mine.running or mine.started is not None else ahead,
-        mine.started if mine.started is not None else mine.starts if known else None,
-        mine.ends if known else None,
-        for_it,
-        len(durations),
-    )
+        made = session.execute(_measured())
+        durations = Durations((took, Size(*size)) for took, *size in made)
+        rows = session.execute(_open()).all()
+    fits = {row.job_id: _of_row(row, durations, now, turn_seconds) for row in rows}
+    turns = last_turns(connection, {fit.job.who for fit in fits.values()})
+    # Without workers one is supposed, for the order.
+    supposed = workers or [_Worker(tuple(queued), None)]
+    _Play(fits, queued, supposed, turns, turn_seconds).run(now)
+    serving = {name: sum(name in worker.queues for worker in workers) for name in queued}
+    return {fit.id: _expected(fit, serving[fit.queue], len(durations)) for fit in fits.values()}
 
 
-def _size() -> Any:
-    """Return the size of a fit, in SQL: keypoints of all frames and views, times steps."""
-    of_frames = FitRecord.frames * DatasetRecord.views * DatasetRecord.keypoints
-    return func.coalesce(of_frames, 1) * func.coalesce(FitRecord.config["steps"].as_integer(), 1)
+def _expected(fit: _Fit, workers: int, measured: int) -> Expected:
+    known = fit.known and workers > 0
+    start = fit.started if fit.started is not None else fit.starts if known else None
+    waits = fit.started is None
+    return Expected(fit.place * waits, start, fit.ends if known else None, workers, measured)
+
+
+SIZE = (
+    FitRecord.frames,
+    DatasetRecord.views,
+    DatasetRecord.keypoints,
+    FitRecord.config["steps"].as_integer().label("steps"),
+    FitRecord.config["batch_size"].as_integer().label("batch_size"),
+)
+IS_OF = DatasetRecord.id == FitRecord.dataset_id
 
 
 def _measured() -> Select[Any]:
     return (
-        select(FitRecord.finished_at - FitRecord.started_at, _size())
-        .join(DatasetRecord, DatasetRecord.id == FitRecord.dataset_id)
+        select(FitRecord.finished_at - FitRecord.started_at, *SIZE)
+        .join(DatasetRecord, IS_OF)
         .where(FitRecord.status == "succeeded", FitRecord.attempt == 1)
         .order_by(FitRecord.id.desc())
         .limit(MEASURED)
@@ -160,93 +136,144 @@ def _open() -> Select[Any]:
             FitRecord.project,
             FitRecord.key_id,
             FitRecord.priority,
+            FitRecord.created_at,
             FitRecord.progress,
             FitRecord.started_at,
-            _size(),
+            FitRecord.attempt,
+            *SIZE,
         )
-        .outerjoin(DatasetRecord, DatasetRecord.id == FitRecord.dataset_id)
+        .outerjoin(DatasetRecord, IS_OF)
         .where(FitRecord.status.in_(("queued", "running")))
         .order_by(FitRecord.id)
     )
 
 
-def _durations(rows: Sequence[Any]) -> list[tuple[float, float]]:
-    """Return seconds and log sizes of fits that were made, the shortest first."""
-    return sorted((max(float(took), 1e-3), math.log(max(size, 1))) for took, size in rows)
+def _workers(connection: Redis) -> list[_Worker]:
+    """Return the workers that do their work."""
+    keys = Worker.all_keys(connection=connection)
+    with connection.pipeline(transaction=False) as pipeline:
+        for key in keys:
+            pipeline.hmget(key, "queues", "current_job")
+        held = [[text and text.decode() for text in each] for each in pipeline.execute()]
+    return [
+        _Worker(tuple((queues or "").split(",")), job_id)
+        for key, (queues, job_id) in zip(keys, held, strict=True)
+        if at_work.is_at_work(connection, key)
+    ]
 
 
-def _usual(durations: Sequence[tuple[float, float]], size: float) -> float:
-    """Return how long a fit of a size takes: the median, fits of like size counting most."""
-    if not durations:
-        return 1.0  # the order is known all the same
-    weights = [math.exp(-abs(known - math.log(max(size, 1))) / LIKE) for _, known in durations]
-    at = next(at for at, below in enumerate(accumulate(weights)) if below >= sum(weights) / 2.001)
-    return durations[at][0]
-
-
-def _of_row(row: Any, durations: Sequence[tuple[float, float]], now: float) -> _Fit:
-    fit_id, job_id, status, project, key_id, priority, progress, started, size = row
-    whole, running = _usual(durations, size), status == "running"
-    done = (progress or {}).get("step", 0) / max((progress or {}).get("steps", 1), 1)
-    left = (progress or {}).get("seconds_left") if running else None
+def _of_row(row: Any, durations: Durations, now: float, turn_seconds: float) -> _Fit:
+    size = Size(row.frames, row.views, row.keypoints, row.steps, row.batch_size)
+    usual = None if None in size[:4] else durations.usual(size)
+    running, progress = row.status == "running", row.progress or {}
+    left = progress.get("seconds_left") if running else None
+    known = usual is not None or left is not None
+    since = now - row.started_at if running and row.attempt == 1 else 0.0
     if left is None:
-        left = whole * (1 - done)
-        if running and not done and started is not None:
-            left = max(whole - (now - started), 0.0)
-    job = Waiting(Who(project, key_id or NO_KEY), RANKS[priority])
-    ends = now + left if running else None
-    return _Fit(fit_id, job_id, running, job, left, started, ends=ends)
+        done = progress.get("step", 0) / max(progress.get("steps", 1), 1)
+        left = (usual or 1.0) * (1 - done) - (0.0 if progress else since)
+    return _Fit(
+        id=row.id,
+        job_id=row.job_id,
+        running=running,
+        job=Waiting(
+            Who(row.project, row.key_id or NO_KEY), rank(row.priority, now - row.created_at)
+        ),
+        left=max(left, 0.0),
+        turn=max(turn_seconds - since, 0.0),
+        known=known,
+        started=row.started_at,
+    )
 
 
-def _play(
-    fits: Sequence[_Fit],
-    queued: dict[str, list[str]],
-    workers: Sequence[frozenset[str]],
-    turns: Turns,
-    now: float,
-    turn_seconds: float,
-) -> list[_Fit]:
-    """Play the queues through, and note starts and ends; return the fits in order of their starts.
+class _Play:
+    """The queues as they are, and what becomes of them if nothing else comes."""
 
-    Those that are on no queue are about to be put on `fits`. Without workers one is supposed, for
-    the order.
-    """
-    waiting = {fit.job_id: fit for fit in fits if not fit.running}
-    lines: dict[str, _Line] = defaultdict(_Line)
-    for name, job_ids in queued.items():
-        for job_id in job_ids:
-            if job_id in waiting:
-                lines[name].add(waiting.pop(job_id))
-    for fit in waiting.values():
-        lines["fits"].add(fit)
-    number = max([0.0, *turns.of_projects.values()])
-    busy = sorted(fit.left for fit in fits if fit.running)
-    free = [(now, place) for place in range(max(len(workers), 1))]
-    for place, left in enumerate(busy[: len(free)]):
-        free[place] = (now + left, place)
-    heapq.heapify(free)
-    started: list[_Fit] = []
-    for _ in range(MOST_TURNS):
-        if not free:
-            break
-        moment, place = heapq.heappop(free)
-        names = sorted(workers[place] if workers else lines)
-        heads = [(turns.place(fit.job), name, fit) for name in names for fit in lines[name].heads()]
-        if not heads:
-            continue
-        (_, name, fit) = min(heads, key=lambda head: head[0])  # of equals the first
-        lines[name].remove(fit)
-        number += 1
-        turns.of_projects[fit.job.who.project] = turns.of_keys[fit.job.who] = number
-        if fit.starts is None:
-            fit.starts = moment
-            started.append(fit)
-        gives_way = any(head.job.goes_before(fit.job) for head in lines[name].heads())
-        took = min(fit.left, turn_seconds) if gives_way else fit.left
-        fit.left -= took
-        if fit.left > 0:
-            lines[name].add(fit, at_front=True)
-        else:
-            fit.ends = moment + took
-        heapq.heappush(free, (moment + took, place))
-    return started
+    def __init__(
+        self,
+        fits: Mapping[str, _Fit],
+        queued: Mapping[str, Sequence[str]],
+        workers: Sequence[_Worker],
+        turns: Turns,
+        turn_seconds: float,
+    ) -> None:
+        """Line up the fits that wait; those that are on no queue are about to be put on `fits`."""
+        self._fits, self._turns, self._turn_seconds = fits, turns, turn_seconds
+        self._queues = [
+            deque(name for name in worker.queues if name in queued) for worker in workers
+        ]
+        self._at_hand = [fits.get(worker.job_id or "") for worker in workers]
+        begun = {fit.job_id for fit in self._at_hand if fit is not None}
+        running = deque(fit for fit in fits.values() if fit.running and fit.job_id not in begun)
+        for place, worker in enumerate(workers):
+            if worker.job_id is None and running:  # it has just begun
+                self._at_hand[place] = running.popleft()
+        waits = {name: fit for name, fit in fits.items() if not fit.running and name not in begun}
+        lines = {name: [job for job in job_ids if job in waits] for name, job_ids in queued.items()}
+        for name, job_ids in lines.items():
+            for job_id in job_ids:
+                fits[job_id].queue = name
+        placed = {job_id for job_ids in lines.values() for job_id in job_ids}
+        lines["fits"] += [job_id for job_id in waits if job_id not in placed]
+        self._lines = {
+            name: Line(((job_id, waits[job_id].job) for job_id in job_ids), turns)
+            for name, job_ids in lines.items()
+        }
+        self._number = max([0.0, *turns.values()])
+        self._started = 0
+        self._events: list[tuple[float, int, _Fit | None]] = []
+
+    def run(self, now: float) -> None:
+        """Note starts and ends in the fits."""
+        for place, fit in enumerate(self._at_hand):
+            self._go_on(now, place, fit)
+        for _ in range(MOST_EVENTS):
+            if not self._events:
+                break
+            moment, place, fit = heapq.heappop(self._events)
+            if fit is None:
+                taken = self._take(place)
+                if taken is not None:
+                    self._go_on(moment, place, taken)
+            elif self._keeps_its_worker(moment, place, fit):
+                self._go_on(moment, place, fit)
+            else:
+                self._go_on(moment + HANDOVER_SECONDS, place, None)
+        for fit in self._fits.values():
+            if fit.starts is None:
+                fit.place = self._started
+
+    def _go_on(self, moment: float, place: int, fit: _Fit | None) -> None:
+        """Have a worker do a fit until this has ended, or its turn is over."""
+        took = 0.0
+        if fit is not None:
+            if fit.starts is None and not fit.running:
+                fit.starts, fit.place = moment, self._started
+                self._started += 1
+            took = min(fit.left, fit.turn)
+            fit.left -= took
+        heapq.heappush(self._events, (moment + took, place, fit))
+
+    def _keeps_its_worker(self, moment: float, place: int, fit: _Fit) -> bool:
+        """Return whether a fit goes on; one that has ended its turn may have to wait again."""
+        if fit.left <= 0:
+            fit.ends = moment
+            return False
+        fit.turn = self._turn_seconds
+        if not any(self._lines[name].gives_way(fit.job) for name in self._queues[place]):
+            return True
+        self._lines[fit.queue].put_back(fit.job_id, fit.job)
+        return False
+
+    def _take(self, place: int) -> _Fit | None:
+        """Return the fit whose turn it is at a worker, which takes from its queues in turn."""
+        queues = self._queues[place]
+        for _ in range(len(queues)):
+            job_id = self._lines[queues[0]].take()
+            queues.rotate(-1)
+            if job_id is not None:
+                fit = self._fits[job_id]
+                self._number += 1
+                self._turns.update(dict.fromkeys(names(fit.job.who), self._number))
+                return fit
+        return None

@@ -9,9 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from store import lifts
 from store.database import Store
-from store.jobs import RANKS, Waiting
 from store.records import FitRecord
-from store.shares import who_owns
 from worker.fair_order import others_wait
 from worker.queue import offer, open_queues
 from worker.settings import WorkerSettings
@@ -61,7 +59,6 @@ class FitTurn:
     ) -> None:
         self._queues = open_queues(connection, settings.queues)
         self._store, self._job_id = store, fit.job_id
-        self._mine = Waiting(who_owns(fit), RANKS[fit.priority])
         self._seconds = settings.fit_turn_seconds
         self._ends = time.monotonic() + self._seconds
         self._seen: set[str] = set()
@@ -76,7 +73,7 @@ class FitTurn:
             return False
         seen: set[str] = set()
         with suppress(RedisError, SQLAlchemyError):
-            seen = others_wait(self._store, self._queues, self._job_id, self._mine)
+            seen = others_wait(self._store, self._queues, self._job_id)
         still = bool(seen & self._seen)
         self._seen = seen
         self._ends = time.monotonic() + LOOK_SECONDS

@@ -51,8 +51,8 @@ FitStage = TypeAliasType("FitStage", Literal["training", "refining"])
 StoppedBy = TypeAliasType("StoppedBy", Literal["steps", "budget", "early"])
 FitPriority = TypeAliasType("FitPriority", Priority)
 PRIORITIES = (
-    "Among the fits of a project that wait: `high` ones start first, `low` ones when no other "
-    "waits. Projects take turns whatever theirs are."
+    "Among the fits of a project that wait: `high` ones start first, `low` ones last. Each day of "
+    "waiting counts as the next priority. Projects take turns whatever theirs are."
 )
 
 

@@ -1,20 +1,28 @@
 """When a fit is expected to start and to end."""
 
+import threading
+import time
 from datetime import UTC, datetime
+from functools import partial
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from pydantic import BaseModel, ConfigDict, Field
+from redis import Redis
 
-from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.resources.fits import FitDep
 from service.resources.jobs import JobStatus
-from worker.schedule import Expected, expected
+from store import jobs
+from store.database import Store
+from store.records import FitRecord
+from worker.schedule import Expected, schedules
 from worker.settings import WorkerSettings
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
 ENDED = Expected(ahead=0, start=None, end=None, workers=0, measured=0)
+KNOWN_SECONDS = 2.0  # for how long an answer holds, or longer where it took long
+SHARE = 20
 
 
 class FitSchedule(BaseModel):
@@ -48,18 +56,45 @@ class FitSchedule(BaseModel):
     workers: int = Field(description="Those that take from its queue; 0 once it has ended.")
     measured_fits: int = Field(
         description="Of how many fits of this deployment durations are known: the last 50, and of "
-        "these the ones of like size count most."
+        "these the ones of like size count, with what more work took of others."
     )
 
 
+class Schedules:
+    """What is expected of all fits, for those who ask one process.
+
+    To play the queues through takes a while where many wait: it is done for all who ask, and no
+    more than a twentieth of the time.
+    """
+
+    def __init__(self, store: Store, redis: Redis, settings: WorkerSettings) -> None:
+        """Know nothing yet."""
+        self._play = partial(schedules, store, redis, settings.fit_turn_seconds)
+        self._playing = threading.Lock()
+        self._known: dict[str, Expected] = {}
+        self._until = 0.0
+
+    def find(self, fit: FitRecord) -> Expected:
+        """Return what is expected of a fit; raise ``RedisError`` if the queue is away."""
+        if fit.status in jobs.TERMINAL:
+            return ENDED
+        with self._playing:
+            began = time.monotonic()
+            if began >= self._until or fit.id not in self._known:
+                self._known = self._play()
+                now = time.monotonic()
+                self._until = now + max(KNOWN_SECONDS, SHARE * (now - began))
+            return self._known.get(fit.id, ENDED)
+
+
 @router.get("/{fit_id}/schedule", responses=problems("not_found", "unavailable"))
-def get_fit_schedule(fit: FitDep, store: StoreDep, redis: RedisDep) -> FitSchedule:
+def get_fit_schedule(fit: FitDep, request: Request) -> FitSchedule:
     """Return when a fit is expected to start and to end, from durations that were measured.
 
     Fits that are queued later, and lifts, can delay it. Ask again every few seconds.
     """
-    turn_seconds = WorkerSettings().fit_turn_seconds
-    found = expected(store, redis, fit.id, turn_seconds) or ENDED
+    known: Schedules = request.app.state.schedules
+    found = known.find(fit)
     return FitSchedule(
         status=fit.status,
         ahead=found.ahead,

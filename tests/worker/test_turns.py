@@ -10,14 +10,14 @@ from store.authors import Author
 from store.capture import Capture
 from store.database import Store
 from store.datasets import CaptureDescription
-from store.jobs import Priority
+from store.jobs import RAISE_SECONDS, Priority
 from store.records import FitRecord
 from tests.deployments import on_every_deployment
 from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for_step, wait_until
 from worker.fair_order import bring_forward, note_turn
 from worker.queue import WorkQueue, enqueue, open_queue
-from worker.schedule import Expected, expected
+from worker.schedule import Expected, schedules
 from worker.settings import WorkerSettings
 
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
@@ -132,6 +132,14 @@ def test_urgent_fits_of_a_project_come_first_and_push_nobody_else_back(
         assert set(own[place : place + 3]) == set(greedy[name])
 
 
+def test_each_day_of_waiting_counts_as_the_next_priority(store: Store, users: Users) -> None:
+    asked = [users.ask("one", priority=each) for each in ("low", "normal", "high", "low")]
+    for fit, days in zip(asked, (1, 0, 0, 2), strict=True):
+        with store.writing() as session:
+            lookup.lock(session, FitRecord, fit).created_at -= days * RAISE_SECONDS
+    assert taken_in_turn(store, users.queue) == [asked[2], asked[3], asked[0], asked[1]]
+
+
 def test_an_urgent_fit_takes_the_place_of_one_that_runs(
     store: Store, users: Users, start_worker: StartWorker
 ) -> None:
@@ -151,35 +159,30 @@ def test_fits_start_in_the_expected_order(
     first = [users.ask("greedy") for _ in range(3)]
     others = [users.ask("other"), users.ask("other", priority="high")]
 
-    def expect(fit: str) -> Expected:
-        found = expected(store, users.queue.connection, fit, 300.0)
-        assert found is not None
-        return found
+    def expect() -> dict[str, Expected]:
+        return schedules(store, users.queue.connection, 300.0)
 
-    before = {fit: expect(fit) for fit in (*first, *others)}
+    before = expect()
+    assert before.keys() == {*first, *others}
     assert all(
         (of.start, of.end, of.workers, of.measured) == (None, None, 0, 0) for of in before.values()
     )
     order = sorted(before, key=lambda fit: before[fit].ahead)
     assert [before[fit].ahead for fit in order] == [0, 1, 2, 3, 4]
     assert order == [first[0], others[1], first[1], others[0], first[2]]
-    start_worker()
-    wait_until(store, order[0], "succeeded")
-    wait_for(
-        lambda: (
-            expected(store, users.queue.connection, order[-1], 300.0) is None
-            or expect(order[-1]).measured
-        ),
-        "a duration",
-        60,
-    )
+    worker = start_worker()
     for fit in order:
         wait_until(store, fit, "succeeded")
     started = {fit: lookup.get(store, FitRecord, fit).started_at or 0.0 for fit in order}
     assert sorted(started, key=lambda fit: started[fit]) == order
-    assert expected(store, users.queue.connection, order[0], 300.0) is None
-    last = expect(users.ask("greedy"))
-    assert (last.ahead, last.workers, last.measured) == (0, 1, 5)
-    assert last.start is not None
-    assert last.end is not None
-    assert last.end > last.start
+    assert expect() == {}
+    worker.kill()
+    worker.wait()
+    asked = [users.ask("greedy"), users.ask("greedy", priority="high"), users.ask("other")]
+    known = expect()
+    assert {(each.workers, each.measured) for each in known.values()} == {(1, 5)}
+    soon = [known[fit] for fit in (asked[2], asked[1], asked[0])]  # the other's turn is next
+    assert [each.ahead for each in soon] == [0, 1, 2]
+    moments = [moment or 0.0 for each in soon for moment in (each.start, each.end)]
+    assert moments == sorted(moments)
+    assert moments[0] > max(started.values())
