@@ -335,6 +335,12 @@ def test_a_key_takes_no_more_than_its_quotas(
     assert queued.status_code == 202
     problem(stranger.post("/fits", json=fit, headers=small), 429, "quota_exceeded")
     stranger.post(f"/fits/{queued.json()['id']}/cancel", headers=small)
+    hurried = key(quotas=Quotas(queued_jobs=1))
+    lift = {"model_id": things.model_id, "dataset_id": things.dataset_id}
+    waiting = stranger.post("/lifts", json=lift, headers=hurried)
+    assert waiting.status_code == 202
+    problem(stranger.post("/lifts", json=lift, headers=hurried), 429, "quota_exceeded")
+    stranger.post(f"/lifts/{waiting.json()['id']}/cancel", headers=hurried)
     large = {"keypoints": FRAMES["keypoints"] * 40}
     problem(stranger.post("/datasets", json=large, headers=small), 429, "quota_exceeded")
     more = f"/datasets/{one.json()['id']}/frames"

@@ -82,6 +82,13 @@ def test_gaps_in_the_truth_count_for_nothing() -> None:
     assert accuracy.mean == pytest.approx(accuracy.per_frame[2:].mean())
 
 
+def test_two_shared_keypoints_are_too_few_to_align() -> None:
+    truth, points = _structures(), _structures(seed=4)
+    truth[0, 2:], points[1, 2:], truth[2, 3:] = np.nan, np.nan, np.nan
+    few = np.isnan(pa_mpjpe(points, truth).per_frame)
+    assert few.tolist() == [True, True, False, False, False, False]
+
+
 def test_a_collapsed_structure_is_as_bad_as_the_truth_is_large() -> None:
     truth = _structures(frames=1)
     accuracy = pa_mpjpe(np.zeros_like(truth), truth)

@@ -14,7 +14,7 @@ from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, make_rig_capture
 
-CAPTURE = make_rig_capture([0, 100, 220], frames=60, noise=0.7, hidden=0.02, distance=2.5)
+CAPTURE = make_rig_capture([0, 100, 220], frames=30, noise=0.7, hidden=0.02, distance=2.5)
 
 
 def problem_with(keypoints: np.ndarray, size: tuple[int, int] = IMAGE_SIZE) -> CalibrationProblem:
@@ -33,18 +33,7 @@ def test_an_image_of_half_the_size_is_named_with_its_scale() -> None:
     assert np.nanmax(np.abs(undone - CAPTURE.keypoints)) < 15
 
 
-def exchanged(pixels: np.ndarray) -> np.ndarray:
-    return pixels[..., ::-1]
-
-
-def mirrored(pixels: np.ndarray) -> np.ndarray:
-    return np.asarray((IMAGE_SIZE[0] - 1, 0) + pixels * (-1, 1))
-
-
-def stretched(pixels: np.ndarray) -> np.ndarray:
-    return np.asarray(pixels * (1, 0.75))
-
-
+@pytest.mark.thorough
 def test_a_mirror_image_is_named_and_undone() -> None:
     keypoints = CAPTURE.keypoints.copy()
     keypoints[:, 2, :, 0] = IMAGE_SIZE[0] - 1 - keypoints[:, 2, :, 0]

@@ -40,6 +40,14 @@ def test_a_schedule_goes_from_its_rate_to_nothing_and_starts_again_with_the_came
     assert plan.rate_at(4499, calibrated=True) < 1e-7
 
 
+def test_cameras_that_are_settled_before_need_fewer_steps_the_fewer_frames_there_are() -> None:
+    config = FitConfig(steps=6000)
+    steps = [Schedule.of_settled(config, frames).steps for frames in (20, 1000, 10**6)]
+    assert steps == [2000, 3000, 4000]
+    assert Schedule.of_settled(FitConfig(steps=1200), 20).steps == 1000
+    assert Schedule.of_settled(FitConfig(steps=300), 10**6).steps == 300
+
+
 def test_what_is_left_is_laid_out_for_the_time_that_is_left() -> None:
     plan = Schedule.of(FitConfig(steps=4500))
     clock = Clock(seconds=2.0, step_seconds=0.01, refresh_seconds=0.5)

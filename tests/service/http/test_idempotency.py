@@ -1,15 +1,19 @@
 """A request that is sent twice makes one thing."""
 
+import hashlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import select
 from starlette.testclient import TestClient
 
 from service.settings import Settings
+from store.database import Store
 from store.objects import Objects
+from store.records import IdempotencyKey
 from tests.client.readers import files
 from tests.deployments import on_every_deployment
 from tests.service.conftest import BYTES, make_dataset, problem, to_npz
@@ -40,6 +44,22 @@ def test_datasets(api: TestClient, settings: Settings) -> None:
     assert objects(settings) == stored
     fresh = api.post("/datasets", content=to_npz(keypoints=FRAMES), headers=keyed("d2"))
     assert fresh.json()["id"] != first.json()["id"]
+
+
+def test_a_request_is_the_same_after_an_upgrade(api: TestClient, settings: Settings) -> None:
+    """Older versions noted a digest of the body, and the query."""
+    data = to_npz(keypoints=FRAMES)
+    made = api.post("/datasets?name=old", content=data, headers=keyed("older"))
+    store = Store(settings)
+    with store.writing() as session:
+        found = select(IdempotencyKey).where(IdempotencyKey.key == "older")
+        noted = f"{hashlib.sha256(data).hexdigest()}?name=old"
+        session.scalars(found).one().fingerprint = noted
+    store.close()
+    again = api.post("/datasets?name=old", content=data, headers=keyed("older"))
+    assert (again.status_code, again.json()) == (201, made.json())
+    other = api.post("/datasets?name=new", content=data, headers=keyed("older"))
+    problem(other, 422, "idempotency_key_reused")
 
 
 def test_requests_that_differ_anywhere_are_not_the_same(api: TestClient, tmp_path: Path) -> None:
