@@ -25,6 +25,9 @@ UPSIDE_DOWN = 0.9  # of the frames: so often a head is below the feet only where
 CONTRADICTED = -0.2  # correlation; unmirrored it is hardly ever below 0
 TURNING = 0.06  # of the visible height: a person who never turns does not determine sides
 FEWEST = 20  # frames that must show what an image is judged by
+# Of the correlation of as many values as feet swing: of drawn people who walk before true images,
+# 2 in 100 contradicted their names in 30 frames at 1.5, none at 2.
+CHANCE = 2.0
 
 
 def counted_from(
@@ -134,7 +137,8 @@ def _names_hold(capture: Capture, view: int) -> float | None:
     """Return how toes and heels agree with left and right, from -1 to 1; None if they cannot.
 
     It is the correlation over the frames of how far toes are below heels, and of how far left is to
-    the right: what feet do in every step is in it but once.
+    the right: what feet do in every step is in it but once. In a few steps it may be chance: what
+    of the toes does not go with the sides swings with the feet, and each swing is one value.
     """
     names = capture.keypoint_names or ()
     words = [{word.lower() for word in _WORD.findall(name)} for name in names]
@@ -164,7 +168,11 @@ def _names_hold(capture: Capture, view: int) -> float | None:
     turned = across[known].std() > TURNING * float(np.median(heights[known]))
     if not turned or not below[known].std() > 0:
         return None
-    return float(np.corrcoef(across[known], below[known])[0, 1])
+    aside, down = (values[known] - values[known].mean() for values in (across, below))
+    apart = down - aside * (aside @ down) / (aside @ aside)
+    swings = np.count_nonzero(np.diff(apart > 0)) + 1
+    held = float(np.corrcoef(aside, down)[0, 1])
+    return held if held**2 * swings > CHANCE**2 else None
 
 
 def _shown(capture: Capture, block: slice, view: int | slice = slice(None)) -> Float32:

@@ -1,4 +1,4 @@
-"""movement's netCDF: `position` (time, space, keypoints, individuals), `confidence`, and `sd`.
+"""movement's netCDF: `position` (time, space, keypoint, individual), `confidence`, and `sd`.
 
 NetCDF 4 is HDF5 with scales of its dimensions, so it is written without a library of netCDF.
 
@@ -13,7 +13,7 @@ import numpy as np
 from fewview.animation import Animation
 from fewview.writers.confidences import confidences_of
 
-POINTS = ("time", "keypoints", "individuals")
+POINTS = ("time", "keypoint", "individual")
 
 
 def write(path: Path, animation: Animation) -> None:
@@ -25,8 +25,8 @@ def write(path: Path, animation: Animation) -> None:
     coordinates: dict[str, Any] = {
         "time": animation.seconds if timed else np.array(animation.frames, np.int64),
         "space": np.array(list("xyz"), text),
-        "keypoints": np.array(animation.names, text),
-        "individuals": np.array(["subject"], text),
+        "keypoint": np.array(animation.names, text),
+        "individual": np.array(["subject"], text),
     }
     arrays = {
         "position": (np.swapaxes(animation.points, 1, 2)[..., None], tuple(coordinates)),

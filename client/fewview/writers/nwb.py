@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from fewview.animation import Animation
@@ -86,7 +87,8 @@ def write(path: Path, animation: Animation) -> None:
                 **clock,
             )
         )
-    with pynwb.NWBHDF5IO(str(path), "w") as file:
+    # Given open: pynwb warns of names without `.nwb`, and files may be named as one likes.
+    with h5py.File(path, "w") as whole, pynwb.NWBHDF5IO(file=whole, mode="w") as file:
         file.write(session)
 
 

@@ -95,13 +95,15 @@ def test_two_subjects_of_one_camera(tmp_path: Path) -> None:
     np.testing.assert_allclose(capture.keypoints[:, 0], WALKS[1, ..., :2], rtol=1e-5)
 
 
-def netcdf(path: Path, position: Any, confidence: Any, *, views: bool = False) -> Path:
+def netcdf(
+    path: Path, position: Any, confidence: Any, *, views: bool = False, plural: str = ""
+) -> Path:
     """Write a file as netCDF 4 lays it out, with scales of its dimensions."""
     coordinates: dict[str, Any] = {"view": np.array(["left", "right"], "S")} if views else {}
     coordinates["time"] = np.arange(12) / 25
     coordinates["space"] = np.array(["x", "y"], "S")
-    coordinates["keypoints"] = np.array(NAMES, "S")
-    coordinates["individuals"] = np.array(["rat"], "S")
+    coordinates[f"keypoint{plural}"] = np.array(NAMES, "S")
+    coordinates[f"individual{plural}"] = np.array(["rat"], "S")
     with h5py.File(path, "w") as file:
         file.attrs.update(fps=25.0, time_unit="seconds", ds_type="poses")
         for name, values in coordinates.items():
@@ -110,25 +112,37 @@ def netcdf(path: Path, position: Any, confidence: Any, *, views: bool = False) -
         axes = list(coordinates)
         for name, values in (("position", position), ("confidence", confidence)):
             file[name] = values
-            for place, axis in enumerate(
-                a for a in axes if values.ndim == len(axes) or a != "space"
-            ):
+            absent = ("space", f"keypoint{plural}")[: len(axes) - values.ndim]
+            for place, axis in enumerate(axis for axis in axes if axis not in absent):
                 file[name].dims[place].attach_scale(file[axis])
     return path
 
 
-def test_netcdf_of_movement(tmp_path: Path) -> None:
+@pytest.mark.parametrize("plural", ["", "s"])  # before version 0.17
+def test_netcdf_of_movement(tmp_path: Path, plural: str) -> None:
     position = np.swapaxes(WALKS[..., :2], 2, 3)[..., None]
     confidence = WALKS[..., 2][..., None]
     for view in range(2):
-        netcdf(tmp_path / f"cam{view + 1}.nc", position[view], confidence[view])
+        path = tmp_path / f"cam{view + 1}.nc"
+        netcdf(path, position[view], confidence[view], plural=plural)
     apart = fewview.read(tmp_path, untrusted=True)
     as_written(apart)
     assert apart.view_names == ("cam1", "cam2")
     assert apart.fps == 25
-    together = fewview.read(netcdf(tmp_path / "views.nc", position, confidence, views=True))
+    together = fewview.read(
+        netcdf(tmp_path / "views.nc", position, confidence, views=True, plural=plural)
+    )
     as_written(together)
     assert together.view_names == ("left", "right")
+
+
+def test_movement_may_be_sure_of_individuals_alone(tmp_path: Path) -> None:
+    walk, sure = WALKS[0], np.linspace(0.2, 0.9, 12)
+    path = tmp_path / "cam1.nc"
+    netcdf(path, np.swapaxes(walk[..., :2], 1, 2)[..., None], sure[:, None])
+    confidence = fewview.read(path).confidence
+    assert confidence is not None
+    np.testing.assert_allclose(confidence[:, 0], np.repeat(sure[:, None], 4, 1), rtol=1e-6)
 
 
 def test_nwb_that_pynwb_wrote(tmp_path: Path) -> None:
@@ -188,5 +202,5 @@ def test_netcdf_that_movement_wrote(tmp_path: Path) -> None:
             keypoint_names=list(NAMES),
             fps=25,
             source_software="DeepLabCut",
-        ).to_netcdf(tmp_path / f"cam{view + 1}.nc")
+        ).to_netcdf(tmp_path / f"cam{view + 1}.nc", engine="h5netcdf")
     as_written(fewview.read(tmp_path))

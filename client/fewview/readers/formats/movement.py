@@ -1,6 +1,6 @@
 """movement's netCDF: a file for each camera, or one with a dimension of the cameras.
 
-`position` (time, space, keypoints, individuals) and `confidence`. NetCDF 4 is HDF5; what its axes
+`position` (time, space, keypoint, individual) and `confidence`. NetCDF 4 is HDF5; what its axes
 are shows in their sizes, in the order in which movement has them, with `view` or `camera` first.
 
 Source: movement's documentation, "The movement datasets", and files that it writes.
@@ -17,9 +17,14 @@ from fewview.readers import hdf5
 from fewview.readers.sources import Source
 from fewview.readers.views import View
 
-VIEWS = ("view", "views", "camera", "cameras")
-ORDER = ("time", "space", "keypoints", "individuals")
-AXES = ("time", "individuals", "keypoints", "space")  # of what is read
+NAMES = {  # of axes; older versions have the plural
+    "space": ("space",),
+    "keypoint": ("keypoint", "keypoints"),
+    "individual": ("individual", "individuals"),
+    "view": ("view", "views", "camera", "cameras"),
+}
+ORDER = ("time", "space", "keypoint", "individual")
+AXES = ("time", "individual", "keypoint", "space")  # of what is read
 Array = NDArray[Any]
 
 
@@ -38,14 +43,15 @@ def read(source: Source) -> list[View]:
     """
     what = str(source)
     with hdf5.opened(source.path) as file:
-        if "shape" in file or "keypoints" not in file:
+        there = {axis: next(filter(file.__contains__, names), "") for axis, names in NAMES.items()}
+        if "shape" in file or not there["keypoint"]:
             raise FormatError(
                 "boxes of movement, without keypoints; give a dataset of poses", place=source
             )
         named = {
-            name: [hdf5.text(each) for each in hdf5.values(file[name], what).ravel()]
-            for name in ("space", "keypoints", "individuals", *VIEWS)
-            if name in file
+            axis: [hdf5.text(each) for each in hdf5.values(file[name], what).ravel()]
+            for axis, name in there.items()
+            if name
         }
         times = hdf5.values(file["time"], what).astype(np.float64).ravel()
         if sorted(named["space"]) != ["x", "y"]:
@@ -53,17 +59,20 @@ def read(source: Source) -> list[View]:
                 f"its points have {', '.join(named['space'])}; give the 2D poses of each camera",
                 place=source,
             )
-        views = next((name for name in VIEWS if name in named), "")
+        views = "view" if "view" in named else ""
         sizes = {name: len(each) for name, each in named.items()} | {"time": len(times)}
         place = _laid_out(hdf5.values(file["position"], what), sizes, views, ORDER, what)
         sure = None
         if "confidence" in file:
             order = tuple(name for name in ORDER if name != "space")
-            sure = _laid_out(hdf5.values(file["confidence"], what), sizes, views, order, what)
+            sure = hdf5.values(file["confidence"], what)
+            if sure.ndim == file["position"].ndim - 2:  # of each individual
+                sure = np.repeat(sure[..., None, :], sizes["keypoint"], axis=-2)
+            sure = _laid_out(sure, sizes, views, order, what)
         fps = float(np.ravel(file.attrs.get("fps", 0))[0])
         seconds = hdf5.text(file.attrs.get("time_unit", "")) == "seconds"
     place = place[..., [named["space"].index(axis) for axis in "xy"]].astype(np.float32)
-    people = named.get("individuals", [""])
+    people = named.get("individual", [""])
     numbers = np.arange(len(times))
     if not seconds and (np.diff(times) > 0).all() and (times == np.rint(times)).all():
         numbers = times.astype(np.int64)
@@ -74,7 +83,7 @@ def read(source: Source) -> list[View]:
             numbers,
             None if sure is None else sure[index].astype(np.float32),
             people=tuple(people) if len(set(people)) == len(people) else None,
-            keypoint_names=tuple(named["keypoints"]),
+            keypoint_names=tuple(named["keypoint"]),
             times=times if seconds and np.isfinite(times).all() else None,
             fps=fps if 0 < fps < np.inf else None,
         )
@@ -102,7 +111,7 @@ def _laid_out(
             values = values.transpose([axes.index(name) for name in wanted])
             if not views:
                 values = values[None]
-            return values if "individuals" in axes else np.expand_dims(values, 2)
+            return values if "individual" in axes else np.expand_dims(values, 2)
     raise FormatError(
         f"an array {values.shape} that does not fit its coordinates, "
         + ", ".join(f"{name} {size}" for name, size in sizes.items()),
