@@ -102,6 +102,8 @@ def test_a_dataset_is_stored_described_listed_extended_and_deleted(
     found = [dataset.id for dataset in client.datasets.list(limit=1)]  # a page each
     assert found == [other.id, served.dataset.id]
     client.datasets.delete(other)
+    with pytest.raises(fewview.NotFound):
+        client.datasets.delete(other)
     with pytest.raises(fewview.NotFound) as error:
         client.datasets.get(other.id)
     assert error.value.status == 404

@@ -19,6 +19,7 @@ from worker.fair_order import bring_forward, note_turn
 from worker.queue import WorkQueue, enqueue, open_queue
 from worker.schedule import Expected, schedules
 from worker.settings import WorkerSettings
+from worker.time_slice import FitTurn
 
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
 
@@ -115,6 +116,18 @@ def test_a_long_fit_gives_way_and_goes_on_where_it_was(
     assert (went_on.attempt, went_on.crashes, went_on.status) == (2, 0, "running")
     fits.cancel(store, long)
     wait_until(store, own, "succeeded")
+
+
+def test_a_fit_gives_way_to_who_is_seen_to_wait_twice(
+    store: Store, users: Users, redis: Redis, settings: WorkerSettings
+) -> None:
+    """Another worker may be free to take what has just come."""
+    running = lookup.get(store, FitRecord, users.ask("greedy"))
+    at_once = settings.model_copy(update={"fit_turn_seconds": 0.0})
+    turn = FitTurn(redis, store, at_once, running)
+    users.ask("other")
+    assert not turn.is_over()
+    wait_for(turn.is_over, "the second look", 20)
 
 
 def test_urgent_fits_of_a_project_come_first_and_push_nobody_else_back(

@@ -305,6 +305,7 @@ def test_one_receiver_keeps_no_other_waiting(
         ("8.8.8.8", True),
         ("2606:4700::1111", True),
         ("64:ff9b::808:808", True),
+        ("2001:0:808:808:0:0:f7f7:f7f7", True),
         ("10.0.0.1", False),
         ("172.16.3.4", False),
         ("192.168.1.1", False),

@@ -150,6 +150,7 @@ def assert_read(path: Path, title: str) -> None:
     assert title in capture.notes[0]
     np.testing.assert_allclose(capture.keypoints[:, 0], BODY[..., :2], rtol=1e-5)
     assert capture.confidence is not None
+    assert capture.confidence is not None
     np.testing.assert_allclose(capture.confidence[:, 0], BODY[..., 2], rtol=1e-5)
     assert capture.keypoint_names is not None
 
@@ -205,6 +206,16 @@ def label(
     numbers = [*(low + high) / 2, *high - low, *shares[:, :dimensions].ravel()]
     line = " ".join(f"{number:.8f}" for number in numbers)
     (path / f"film_{n + 1}.txt").write_text(f"0 {line}{more}\n")
+
+
+def test_images_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for n in range(3):
+        label(tmp_path, n)
+    (tmp_path / "film_1.txt").rename(tmp_path / "later_1.txt")
+    capture = fewview.read(tmp_path, image_size=(640, 480))
+    np.testing.assert_allclose(capture.keypoints[:, 0], BODY[:3, :, :2], rtol=1e-5)
+    assert capture.confidence is not None
+    np.testing.assert_allclose(capture.confidence[:, 0], BODY[:3, :, 2], rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["inf", "nan", "0.5"])
