@@ -9,8 +9,8 @@ from typing import NamedTuple
 from models.settings.config import FitConfig
 
 MEASURED = 50  # of the last fits, how many durations are looked at
-NEAREST = 9  # of these, how many of the most alike count
-APART = 1.25  # ratio of work from which two fits show what more of it takes
+APART = 1.25  # ratio of work from which two fits show what more of it takes; below, they are alike
+FEWEST, NEAREST = 3, 9  # alike ones that suffice, and how many count where there are fewer
 RESULT_STEPS = 10  # a guess: as many steps take what a frame takes besides
 
 
@@ -56,7 +56,10 @@ class Durations:
         and never less than the shortest of them by more than its work is less.
         """
         work = size.work
-        alike = sorted(self._known, key=lambda known: abs(log(known[1] / work)))[:NEAREST]
+        apart = sorted(self._known, key=lambda known: abs(log(known[1] / work)))
+        alike = [known for known in apart if work / APART < known[1] < work * APART]
+        if len(alike) < FEWEST:
+            alike = apart[:NEAREST]
         if not alike:
             return None
         return median(
