@@ -1,16 +1,23 @@
 """Files that are small and ask for much: memory, time, space on the disk."""
 
 import json
+import os
 import struct
+from collections.abc import Callable
 
 import httpx2
+import pytest
 from starlette.testclient import TestClient
 
 from store import access_keys
 from store.access_keys import SCOPES
 from store.database import Store
 from store.quotas import Quotas
+from tests.client.readers.mutations import mutated
+from tests.client.readers.test_mutated_files import WRITERS, nwb_file
 from tests.service.conftest import problem, zip_of
+
+COUNT = int(os.environ.get("FEWVIEW_TEST_MUTATIONS", "4"))  # each is read in a process of its own
 
 
 def refused(answer: httpx2.Response, field: str = "files") -> str:
@@ -67,3 +74,19 @@ def test_a_directory_of_millions_is_not_listed(api: TestClient) -> None:
     refused(api.post("/datasets", files=[("files", ("a.npz", data))]))
     answer = api.post("/datasets", files={"file": ("a.npz", data)})
     assert "64 arrays" in problem(answer, 413, "body_too_large")
+
+
+@pytest.mark.parametrize("written", WRITERS)
+def test_a_file_that_is_nearly_right_is_read_or_refused(
+    api: TestClient, written: Callable[[], bytes]
+) -> None:
+    whole, sizes = written(), [(640, 480)] * (2 if written is nwb_file else 1)
+    for content in (whole, *mutated(whole, COUNT)):
+        sent = [("files", ("cam1.file", content))]
+        answer = api.post("/datasets", files=sent, data={"image_sizes": json.dumps(sizes)})
+        if answer.status_code == 201:
+            assert api.delete(f"/datasets/{answer.json()['id']}").status_code == 204
+        else:
+            assert content != whole, answer.text
+            assert answer.status_code in (400, 422), answer.text
+            assert answer.headers["content-type"] == "application/problem+json"
