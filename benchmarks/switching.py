@@ -60,7 +60,7 @@ def observed(mechanisms: Sequence[Mechanism]) -> Iterator[set[str]]:
     for mechanism in mechanisms:
         if mechanism.name not in acting:
             for part in mechanism.parts:
-                known = getattr(*_place(part))
+                known = getattr(*place_of(part))
                 watch = _watched_steps if isgeneratorfunction(known) else _watched
                 note = functools.partial(acting.add, mechanism.name)
                 parts.append(part._replace(instead=watch(known, part.instead, note)))
@@ -108,7 +108,7 @@ def _replaced(parts: Sequence[Part]) -> Iterator[None]:
     before: list[tuple[Any, str, Any]] = []
     try:
         for part in parts:
-            owner, name = _place(part)
+            owner, name = place_of(part)
             before.append((owner, name, owner.__dict__[name]))
             setattr(owner, name, part.instead)
         yield
@@ -117,7 +117,8 @@ def _replaced(parts: Sequence[Part]) -> Iterator[None]:
             setattr(owner, name, known)
 
 
-def _place(part: Part) -> tuple[ModuleType | type, str]:
+def place_of(part: Part) -> tuple[ModuleType | type, str]:
+    """Return what holds the function that a part replaces, and its name there."""
     module, (*classes, name) = import_module(part.module), part.name.split(".")
     owner: Any = module
     for each in classes:
