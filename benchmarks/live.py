@@ -134,7 +134,7 @@ def _bridge(running: Service, model: str, to: str) -> Iterator[int]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind((HOST, 0))
         port = int(free.getsockname()[1])
-    command = [Path(sys.executable).with_name("fewview"), "live", model]
+    command = [str(Path(sys.executable).with_name("fewview")), "live", model]
     command += ["--from", f"udp://{HOST}:{port}", "--to", to, "--url", running.address]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603
     try:

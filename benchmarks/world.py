@@ -122,7 +122,8 @@ def detected(keypoints: ArrayLike, noise: float, seed: int) -> Float64:
     repeated = REPEATED * noise
     own = np.sqrt(noise**2 - repeated**2) / np.sqrt(FREEDOM / (FREEDOM - 2))
     offsets = repeated * rng.standard_normal(pixels.shape[1:])
-    return pixels + offsets + own * rng.standard_t(FREEDOM, pixels.shape)
+    pixels += offsets + own * rng.standard_t(FREEDOM, pixels.shape)
+    return pixels
 
 
 def world_errors(
@@ -208,7 +209,8 @@ def angles(points: Float64) -> Float64:
     """Return the angles (N,) at the second of three points (N, 3, 3), degrees."""
     u, v = points[:, 0] - points[:, 1], points[:, 2] - points[:, 1]
     lengths = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
-    return np.degrees(np.arccos(((u * v).sum(-1) / lengths).clip(-1, 1)))
+    found: Float64 = np.degrees(np.arccos(((u * v).sum(-1) / lengths).clip(-1, 1)))
+    return found
 
 
 if __name__ == "__main__":
