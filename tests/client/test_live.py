@@ -99,6 +99,16 @@ def test_lines_become_json_and_bad_ones_are_counted(
     assert "expected views of 16 keypoints" in ran.stderr
 
 
+def test_by_default_points_are_those_of_a_room_that_the_model_must_have(
+    served: Served, receiver: socket.socket
+) -> None:
+    words = [each for each in command(served, receiver, "osc") if each != "--frame=canonical"]
+    ran = CliRunner().invoke(cli.app, words, input=frame(served, 0))
+    assert ran.exit_code == 1
+    assert "has no room: none of its cameras is static" in ran.stderr
+    assert "frame=canonical" in ran.stderr
+
+
 def test_a_stream_that_breaks_is_opened_anew(
     served: Served, receiver: socket.socket, tmp_path: Path
 ) -> None:
@@ -171,6 +181,20 @@ def test_what_is_asked_wrongly_is_refused(served: Served, words: list[str], reas
     ran = CliRunner().invoke(cli.app, asked)
     assert ran.exit_code == 2
     assert reason in ran.stderr
+
+
+def test_an_address_that_cannot_be_used_is_named_with_its_option(
+    served: Served, receiver: socket.socket
+) -> None:
+    taken = f"--from=udp://127.0.0.1:{receiver.getsockname()[1]}"
+    for words, reason in (
+        (["--to=osc://127.0.0.1:1", taken], "--from: 127.0.0.1 port"),
+        (["--to=osc://nowhere.invalid:1"], "--to: nowhere.invalid port 1"),
+    ):
+        asked = ["live", served.model, f"--url={served.live.url}", "--frame=canonical", *words]
+        ran = CliRunner().invoke(cli.app, asked)
+        assert ran.exit_code == 1
+        assert reason in ran.stderr
 
 
 def turned(points: dict[str, tuple[float, float, float]], **fewer: float) -> dict[str, Any]:

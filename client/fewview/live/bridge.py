@@ -18,7 +18,7 @@ from fewview.errors import ApiError, ConnectionFailed
 from fewview.live.figures import Figures
 from fewview.live.frames import WAITING, Arrival, Datagrams, Frame, Queue, follow_lines, read_frame
 from fewview.live.holding import Holder, Pose
-from fewview.live.targets import Target, Writer
+from fewview.live.targets import Target, Writer, about
 
 REPORT_SECONDS = 1.0
 IDLE_SECONDS = 1 / 30  # without an answer, after which the pose that fades is sent by itself
@@ -73,10 +73,11 @@ class Bridge:
             if self.source is None:
                 follow_lines(queue)
             else:
-                listening, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                    lambda: Datagrams(queue, lambda: self.figures.count("dropped")),
-                    local_addr=self.source,
-                )
+                with about("--from", *self.source):
+                    listening, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+                        lambda: Datagrams(queue, lambda: self.figures.count("dropped")),
+                        local_addr=self.source,
+                    )
                 host, port = listening.get_extra_info("sockname")[:2]
                 self.figures.show(f"listening on udp://{host}:{port}")
             await self._stream(queue, None)  # at once, so that what is wrong is said at once

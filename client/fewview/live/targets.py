@@ -4,6 +4,7 @@ import json
 import socket
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -62,11 +63,21 @@ def writer_for(scheme: str, names: Sequence[str], metres: float) -> Writer:
     return lambda pose: iter([_as_json(names, pose)])
 
 
+@contextmanager
+def about(option: str, host: str, port: int) -> Iterator[None]:
+    """Name the option and its address where the system refuses it (OSError)."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(f"{option}: {host} port {port} cannot be used ({error})") from error
+
+
 class Target:
     """A UDP socket to one address; a datagram that cannot be sent is lost, as others on the way."""
 
     def __init__(self, host: str, port: int) -> None:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        with about("--to", host, port):
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         family, kind, protocol, _, address = found[0]
         self._address: tuple[Any, ...] = address
         self._socket = socket.socket(family, kind, protocol)
