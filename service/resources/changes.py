@@ -31,6 +31,7 @@ class Change(BaseModel):
     )
 
     emptied: ClassVar = ", which null removes"  # what null does with fields that are no labels
+    codes: ClassVar[tuple[str, ...]] = ()  # of the problems that `check` ends in
 
     name: Name | None = None
     tags: Tags | None = Field(None, description=f"They replace the present ones. {TAGS}")
@@ -78,7 +79,7 @@ def add_change_route(
         response_model=form,
         description=f"Change the labels of a {noun}: `name`, `tags`, `metadata`. Fields that are "
         f"left out stay as they are.{more}",
-        responses=problems(*BODY_PROBLEMS, "not_found"),
+        responses=problems(*BODY_PROBLEMS, "not_found", *change.codes),
         openapi_extra=request_body(change),
     )
     def change_resource(

@@ -19,7 +19,7 @@ from service.http.dependencies import (
     SettingsDep,
     StoreDep,
 )
-from service.http.errors import BODY_PROBLEMS, invalid, problems
+from service.http.errors import BODY_PROBLEMS, ApiError, invalid, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
 from service.http.uploads import UploadBody
@@ -41,7 +41,7 @@ from service.wire.stages import STAGES, AnswerStage
 from store import fits, lookup, records
 from store.answers import answer_stage
 from store.database import Store
-from store.jobs import Priority
+from store.jobs import TERMINAL, Priority
 from store.labels import Labels, Text, labels_of
 from worker.queue import open_queues
 
@@ -244,6 +244,7 @@ class FitChange(Change):
     """What to change of a fit; what is left out, or null, stays as it is."""
 
     emptied: ClassVar = ""
+    codes: ClassVar = ("conflict",)
 
     priority: FitPriority | None = Field(None, description=PRIORITIES)
 
@@ -251,6 +252,14 @@ class FitChange(Change):
         """Return the record's columns that change, with their new values."""
         more = {} if self.priority is None else {"priority": self.priority}
         return super().columns() | more
+
+    def check(self, record: Any) -> None:
+        """Raise ``ApiError`` if a fit that has ended is to be more or less urgent."""
+        if self.priority is not None and record.status in TERMINAL:
+            raise ApiError(
+                "conflict",
+                f"Fit {record.id!r} has ended ({record.status}): leave its priority out.",
+            )
 
 
 class FitPage(Page[Fit]):

@@ -60,6 +60,10 @@ def test_a_fit_has_a_priority_that_can_be_changed_while_it_waits(api: TestClient
     refused = api.post("/fits", json=body | {"priority": "urgent"})
     message = problem(refused, 422, "invalid_input", "/priority")
     assert "'high', 'normal' or 'low'" in message
+    api.post(f"/fits/{fit['id']}/cancel")
+    ended = f"/fits/{fit['id']}"
+    problem(api.patch(ended, json={"priority": "low"}), 409, "conflict")
+    assert api.patch(ended, json={"name": "ended"}).json()["priority"] == "high"
 
 
 def test_a_fit_that_waits_knows_its_place_and_no_times_without_workers(api: TestClient) -> None:
