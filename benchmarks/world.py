@@ -8,7 +8,7 @@ onto the truth once, by the similarity that least squares gives of all keypoints
 Then: W-MPJPE, the mean distance of keypoints; of cameras the mean distance of their centres and the
 mean angle of their rotations, and without any alignment the mean error of the horizontal field of
 view. The noise is that of a detector: `--noise` pixels with the tails of Student's t of 4 degrees
-of freedom, and offsets of half of it that each keypoint repeats in each view of all frames.
+of freedom, and of it the share `--repeated` in offsets that a keypoint has in all frames of a view.
 
 `--angles FILE` writes true and estimated joint angles of named knees and elbows, as
 `poseaudit paired --table FILE --big-error 5` reads them. No fit uses the truth.
@@ -36,7 +36,7 @@ from models.training.trainer import fit
 
 Float64 = NDArray[np.float64]
 FREEDOM = 4  # of the tails
-REPEATED = 0.5  # of the noise, in offsets
+REPEATED = 0.5  # share of the noise
 MILLIMETRES = 1000.0
 JOINTS = {  # the angle at the second keypoint
     "knee": ("hip", "knee", "ankle"),
@@ -73,6 +73,7 @@ def main() -> None:
     parser.add_argument("capture", type=Path, help=".npz with points3d in metres")
     parser.add_argument("--image-size", default="1000x1000", help="WxH of every view")
     parser.add_argument("--noise", type=float, nargs="+", default=[0, 5], help="pixels")
+    parser.add_argument("--repeated", type=float, default=REPEATED, help="share of the noise")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--views", type=int, nargs="+", help="these alone")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
@@ -97,7 +98,7 @@ def _rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for noise in arguments.noise:
         found = []
         for seed in arguments.seeds:
-            keypoints = detected(capture.keypoints[:, views], noise, seed)
+            keypoints = detected(capture.keypoints[:, views], noise, seed, arguments.repeated)
             prior = fit(
                 keypoints,
                 FitConfig(seed=seed),
@@ -116,10 +117,10 @@ def _rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         }
 
 
-def detected(keypoints: ArrayLike, noise: float, seed: int) -> Float64:
-    """Return keypoints (N, K, P, 2) with the errors of a detector, `noise` pixels in all."""
+def detected(keypoints: ArrayLike, noise: float, seed: int, share: float = REPEATED) -> Float64:
+    """Return keypoints (N, K, P, 2) with errors of `noise` pixels in all, that `share` repeated."""
     rng, pixels = np.random.default_rng([seed, 72]), np.array(keypoints, np.float64)
-    repeated = REPEATED * noise
+    repeated = share * noise
     own = np.sqrt(noise**2 - repeated**2) / np.sqrt(FREEDOM / (FREEDOM - 2))
     offsets = repeated * rng.standard_normal(pixels.shape[1:])
     pixels += offsets + own * rng.standard_t(FREEDOM, pixels.shape)

@@ -139,7 +139,7 @@ def test_a_download_goes_on_where_it_broke_off(served: Served, line: Line, tmp_p
 
 
 # A fit that goes on for as long as events are broken and asked for again.
-LONGER = CONFIG | {"refine": "off", "steps": 250}
+LONGER = CONFIG | {"refine": "off", "steps": 1000}
 
 
 def test_a_fit_is_followed_through_breaks_and_without_events(served: Served, line: Line) -> None:

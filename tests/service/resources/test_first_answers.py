@@ -96,12 +96,19 @@ def test_geometry_answers_while_the_network_is_taught(live: Live, long: dict[str
     assert "only a fit that succeeded" in problem(live.http.get(f"{url}/report"), 409, "conflict")
 
 
+def wait_for_a_step(live: Live, url: str) -> None:
+    before = live.get(url)["progress"]["step"]
+    wait_for(lambda: live.get(url)["progress"]["step"] > before or None, "a step")
+
+
 def test_a_first_answer_outlives_its_worker_and_goes_with_a_cancelled_fit(
     live: Live, long: dict[str, Any]
 ) -> None:
     url = f"/fits/{long['id']}"
     first = live.http.get(f"{url}/reconstruction?format=npz").content
     wait_for(lambda: "checkpoint" in objects_of(live, long) or None, "a checkpoint")
+    for _ in range(2):  # by then it is recorded: nobody deletes one that is not
+        wait_for_a_step(live, url)
     parents = processes()
     workers = {pid for pid in descendants(live.process.pid) if b"worker" in command_of(pid)}
     for horse in {pid for pid in workers if parents[pid] in workers}:
