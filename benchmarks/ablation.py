@@ -115,15 +115,15 @@ def main() -> None:
 
 
 def _jobs(arguments: argparse.Namespace) -> Iterator[Job]:
-    rest = (arguments.data, tuple(arguments.stages), tuple(arguments.only))
+    asked = (arguments.data, tuple(arguments.stages), tuple(arguments.only))
     for number in range(*arguments.draws):
         for half in HALVES:
-            yield Job(half, str(number), *rest)
+            yield Job(half, str(number), *asked)
     for number in range(*arguments.moving):
         for half in HALVES:
-            yield Job(f"{half} moving", str(number), *rest)
+            yield Job(f"{half} moving", str(number), *asked)
     for name in arguments.real:
-        yield Job(REAL, name, *rest)
+        yield Job(REAL, name, *asked)
 
 
 def measure(job: Job) -> list[Row] | None:

@@ -1,6 +1,6 @@
 """The mechanisms of fits and lifts that `benchmarks/ablation.py` switches off, one at a time.
 
-A mechanism is off while the functions that the rest of the code calls are replaced: what stays
+A mechanism is off while the functions that other code calls are replaced: what stays
 behind is what the code did if the mechanism did not exist. Nothing in `models` knows of this.
 """
 
@@ -89,7 +89,7 @@ MECHANISMS = (
         (_refiner(held=lambda *_: no_lengths()),),
     ),
     Mechanism(
-        "unlikely places are not told",
+        "unlikely places are left out",
         LIFT,
         ("lifting/usual_structure.py",),
         (Part("models.lifting.fitted_prior", "without_unlikely", _first),),

@@ -1,4 +1,4 @@
-"""Switching mechanisms of fits and lifts off, by replacing functions that the rest calls."""
+"""Switching mechanisms of fits and lifts off, by replacing functions that other code calls."""
 
 import functools
 from collections.abc import Callable, Iterator, Sequence

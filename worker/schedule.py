@@ -29,7 +29,7 @@ MOST_EVENTS = 50_000  # that are played through
 HANDOVER_SECONDS = 1.0  # from one fit of a worker to its next: `python -m benchmarks.turns`
 
 
-class Expected(NamedTuple):
+class Forecast(NamedTuple):
     """What is expected of a fit that waits or runs.
 
     Attributes
@@ -76,7 +76,7 @@ class _Worker(NamedTuple):
     job_id: str | None
 
 
-def schedules(store: Store, connection: Redis, turn_seconds: float) -> dict[str, Expected]:
+def schedules(store: Store, connection: Redis, turn_seconds: float) -> dict[str, Forecast]:
     """Return what is expected of all fits that wait or run.
 
     Parameters
@@ -100,11 +100,11 @@ def schedules(store: Store, connection: Redis, turn_seconds: float) -> dict[str,
     return {fit.id: _expected(fit, serving[fit.queue], len(durations)) for fit in fits.values()}
 
 
-def _expected(fit: _Fit, workers: int, measured: int) -> Expected:
+def _expected(fit: _Fit, workers: int, measured: int) -> Forecast:
     known = fit.known and workers > 0
     start = fit.started if fit.started is not None else fit.starts if known else None
     waits = fit.started is None
-    return Expected(fit.place * waits, start, fit.ends if known else None, workers, measured)
+    return Forecast(fit.place * waits, start, fit.ends if known else None, workers, measured)
 
 
 SIZE = (

@@ -15,12 +15,12 @@ from service.resources.jobs import JobStatus
 from store import jobs
 from store.database import Store
 from store.records import FitRecord
-from worker.schedule import Expected, schedules
+from worker.schedule import Forecast, schedules
 from worker.settings import WorkerSettings
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
-ENDED = Expected(ahead=0, start=None, end=None, workers=0, measured=0)
+ENDED = Forecast(ahead=0, start=None, end=None, workers=0, measured=0)
 KNOWN_SECONDS = 2.0  # for how long an answer holds, or longer where it took long
 SHARE = 20
 
@@ -71,10 +71,10 @@ class Schedules:
         """Know nothing yet."""
         self._play = partial(schedules, store, redis, settings.fit_turn_seconds)
         self._playing = threading.Lock()
-        self._known: dict[str, Expected] = {}
+        self._known: dict[str, Forecast] = {}
         self._until = 0.0
 
-    def find(self, fit: FitRecord) -> Expected:
+    def find(self, fit: FitRecord) -> Forecast:
         """Return what is expected of a fit; raise ``RedisError`` if the queue is away."""
         if fit.status in jobs.TERMINAL:
             return ENDED

@@ -17,7 +17,7 @@ from tests.waiting import wait_for
 from tests.worker.conftest import CONFIG, LONG, StartWorker, wait_for_step, wait_until
 from worker.fair_order import bring_forward, note_turn
 from worker.queue import WorkQueue, enqueue, open_queue
-from worker.schedule import Expected, schedules
+from worker.schedule import Forecast, schedules
 from worker.settings import WorkerSettings
 from worker.time_slice import FitTurn
 
@@ -172,7 +172,7 @@ def test_fits_start_in_the_expected_order(
     first = [users.ask("greedy") for _ in range(3)]
     others = [users.ask("other"), users.ask("other", priority="high")]
 
-    def expect() -> dict[str, Expected]:
+    def expect() -> dict[str, Forecast]:
         return schedules(store, users.queue.connection, 300.0)
 
     before = expect()

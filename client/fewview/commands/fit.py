@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from fewview.commands.talking import (
     say,
     talking,
 )
+from fewview.errors import ApiError, ConnectionFailed
 
 if TYPE_CHECKING:
     from fewview.api.schedule_forms import FitSchedule
@@ -105,10 +107,12 @@ def fit(
             metadata=fields_in(metadata, "--metadata"),
             **fields,
         )
-        if not as_json:
-            echo(_in_words(client.fits.schedule(made)), err=True)
         if not follow:
             say(made.raw, made.id, as_json=as_json)
+        if not as_json:
+            with suppress(ApiError, ConnectionFailed):  # it is queued when the queue is back
+                echo(_in_words(client.fits.schedule(made)), err=True)
+        if not follow:
             return
         with FitProgressBar(quiet=as_json) as bar:
             done = client.fits.wait(made, on_progress=bar.show)
@@ -119,7 +123,7 @@ def fit(
 
 
 def _in_words(schedule: "FitSchedule") -> str:
-    """Say when a fit is expected to start and to end, in local time."""
+    """Return in words when a fit is expected to start and to end, in local time."""
     ahead = f"{schedule.ahead} fit{'s' * (schedule.ahead != 1)} ahead"
     if schedule.status == "queued" and not schedule.workers:
         return f"{ahead}; no worker takes from its queue: fewview worker starts one"
