@@ -256,6 +256,10 @@ def _options(
     if not where.startswith(("http://", "https://")):
         raise ValueError(f"expected a URL such as {DEFAULT_URL}, got {where!r}")
     base, sent = httpx2.URL(where), httpx2.Headers(dict(headers or {}))
+    try:
+        base.host.encode("idna")
+    except UnicodeError as error:
+        raise ValueError(f"{where!r} names no host that there can be ({error})") from error
     options = {
         "base_url": base,
         "timeout": httpx2.Timeout(timeout, connect=min(CONNECT_SECONDS, timeout)),

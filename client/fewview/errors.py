@@ -55,6 +55,8 @@ class ApiError(FewviewError):
         The problem, and what is wrong this time.
     errors
         Each field at fault.
+    sequence
+        The frame of a stream that was refused; None where the stream itself was, and of others.
     """
 
     def __init__(
@@ -65,10 +67,11 @@ class ApiError(FewviewError):
         title: str,
         detail: str,
         errors: tuple[FieldError, ...] = (),
+        sequence: int | None = None,
     ) -> None:
         super().__init__(" ".join(filter(None, (detail or title, _REMEDIES.get(code)))))
         self.status, self.code, self.title, self.detail = status, code, title, detail
-        self.errors = errors
+        self.errors, self.sequence = errors, sequence
 
 
 class InvalidRequest(ApiError):  # noqa: N818
@@ -230,4 +233,5 @@ def api_error(status: int, problem: dict[str, Any]) -> ApiError:
             FieldError(str(item.get("pointer", "")), str(item.get("detail", "")))
             for item in problem.get("errors") or ()
         ),
+        sequence=problem.get("sequence"),
     )

@@ -7,10 +7,13 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import TypeAliasType
 
+from models.settings.unions import refused_with
+
 # A file each in `models.optics.lenses`; and the same lenses, as lifts and models call them.
 LensName = TypeAliasType("LensName", Literal["pinhole", "fisheye"])
 LiftedLensName = TypeAliasType("LiftedLensName", Literal["perspective", "fisheye"])
-Alike = bool | Literal["auto"]  # whether lenses are alike; "auto": estimated from the keypoints
+# Whether lenses are alike; "auto": estimated from the keypoints.
+Alike = Annotated[bool | Literal["auto"], refused_with('expected true, false or "auto"')]
 NUMBERS_OF_COEFFICIENTS: dict[LensName, tuple[int, ...]] = {
     "pinhole": (0, 1, 2, 4, 5, 8),
     "fisheye": (0, 4),

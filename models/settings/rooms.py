@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from typing_extensions import TypeAliasType
 
+from models.settings.unions import refused_with
+
 FrameOfReference = TypeAliasType("FrameOfReference", Literal["canonical", "room"])
 # `upright`: the room with y up, estimated from the frames of the fit.
 BestFrame = TypeAliasType("BestFrame", Literal["canonical", "room", "upright"])
@@ -14,9 +16,14 @@ _Vector = tuple[_Number, _Number, _Number]
 
 def _is_a_direction(vector: _Vector) -> _Vector:
     if not any(vector):
-        raise ValueError("expected 'auto' or a vector (x, y, z) other than zero")
+        raise ValueError("zero has no direction")
     return vector
 
 
 # Up in the room: estimated, or (x, y, z) in the frame of reference of the model's cameras.
-Up = Literal["auto"] | Annotated[_Vector, AfterValidator(_is_a_direction)]
+Up = Annotated[
+    Literal["auto"] | Annotated[_Vector, AfterValidator(_is_a_direction)],
+    refused_with(
+        "expected 'auto' or a vector (x, y, z) other than zero, its numbers from -1e6 to 1e6"
+    ),
+]

@@ -61,8 +61,15 @@ class Rooms:
 def check_known(room: Room, views: list[int] | None, count: int) -> None:
     """Raise ``ApiError`` unless it is known which of the fit's the views of frames are."""
     if not room.knows(views, count):
+        fitted = len(room.rotations)
+        if count > fitted:
+            raise invalid(
+                "/views",
+                f"expected at most the {fitted} views of the fit, got {count}: frame=room needs "
+                "known cameras",
+            )
         raise invalid(
             "/views",
-            f"expected which {count} of the {len(room.rotations)} views of the fit these are: "
+            f"expected which {count} of the {fitted} views of the fit these are: "
             "frame=room needs known cameras",
         )

@@ -18,12 +18,18 @@ class Line:
         then the connection breaks. They are used up in order.
     asked
         All that was sent to the service.
+    open_back
+        While it is not set, answers wait.
     """
 
     target: tuple[str, int]
     port: int
     faults: list[tuple[bytes, int]] = field(default_factory=list)
     asked: list[bytes] = field(default_factory=list)
+    open_back: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self.open_back.set()
 
     @property
     def url(self) -> str:
@@ -56,6 +62,7 @@ class Line:
         def back() -> None:
             with suppress(OSError):
                 while data := service.recv(1024):
+                    self.open_back.wait()
                     if left and left[0] < len(data):
                         client.sendall(data[: left[0]])
                         break

@@ -4,7 +4,13 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from fewview import cli
 
 from service.cli import COMMANDS
 from tests import fork_server
@@ -35,6 +41,27 @@ def test_commands_are_listed_and_versions_said() -> None:
         assert f" {command} " in shown.stdout
     assert run("--version").stdout.startswith("fewview ")
     assert run("fit-it").returncode == 2
+
+
+def numbers(command: Any) -> Iterator[Any]:
+    """Yield the options of a command, and of those below it, that are numbers with a point."""
+    for each in getattr(command, "commands", {}).values():
+        yield from numbers(each)
+    for option in command.params:
+        if option.type.name.startswith("float") and option.name != "min_confidence":
+            yield option  # that one is checked by the readers
+
+
+def test_every_number_that_is_asked_for_is_a_number() -> None:
+    """A range lets nan through, and an animation of that is nan."""
+    command: Any = typer.main.get_command(cli.app)
+    options, context = list(numbers(command)), typer.Context(command)
+    assert len(options) >= 8
+    for option in options:
+        assert option.process_value(context, "1") == 1
+        for text in ("nan", "inf"):
+            with pytest.raises(typer.BadParameter):
+                option.process_value(context, text)
 
 
 def test_the_server_reads_its_own_options() -> None:

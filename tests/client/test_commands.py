@@ -309,6 +309,8 @@ def test_what_is_wrong_is_a_line_on_stderr_and_a_status(served: Served, tmp_path
     url, nobody = f"--url={served.live.url}", f"--url=http://127.0.0.1:{free_port()}"
     assert "fewview serve" in refused(fewview("datasets", "list", nobody), 1)
     assert "expected a URL" in refused(fewview("datasets", "list", "--url=here"), 2)
+    assert "no host" in refused(fewview("datasets", "list", "--url=http://a..b:1"), 2)
+    assert "identifier" in refused(fewview("models", "get", "", url), 2)
     assert "mdl_none" in refused(fewview("models", "get", "mdl_none", url), 2)
     assert "steps" in refused(fewview("fit", served.dataset.id, "-c", "steps=-1", url), 2)
     assert "key=value" in refused(fewview("fit", served.dataset.id, "-c", "steps", url), 2)

@@ -1,25 +1,24 @@
 """Streams passed on live: to VMC, OSC and JSON, from datagrams and lines."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from fewview import cli
-from fewview.live.bodies import Body
-from fewview.live.holding import Holder
-from fewview.live.osc import bundles, message
-from fewview.live.targets import writer_for
 from typer.testing import CliRunner
 
 from tests.client.conftest import Served
 from tests.client.faulty import Line
+from tests.client.osc import read_osc
 from tests.processes import free_port
 
 BAD = [
@@ -41,17 +40,11 @@ def receiver() -> Iterator[socket.socket]:
 
 
 def frame(served: Served, place: int) -> bytes:
+    keypoints = served.capture.keypoints[place % len(served.capture.keypoints)]
     views = [
-        [None if np.isnan(point).any() else point.tolist() for point in view]
-        for view in served.capture.keypoints[place]
+        [None if np.isnan(point).any() else point.tolist() for point in view] for view in keypoints
     ]
     return json.dumps({"sequence": 100 + place, "keypoints": views}).encode()
-
-
-def read_osc(data: bytes) -> list[tuple[str, list[Any]]]:
-    """Return the messages of a bundle as the library of others reads them."""
-    other = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
-    return [(each.address, each.params) for each in other.OscBundle(data)]
 
 
 FRAMES = 800
@@ -74,12 +67,17 @@ def command(served: Served, udp: socket.socket, scheme: str, *more: str) -> list
 def test_lines_become_json_and_bad_ones_are_counted(
     served: Served, receiver: socket.socket, tmp_path: Path
 ) -> None:
-    lines = [frame(served, 0), *BAD, b"9" * 300_000, BAD[0], frame(served, 1)]
+    one = json.loads(frame(served, 1))
+    one["keypoints"][2] = None  # nobody is in that view
+    one = json.dumps(one).encode()
+    lines = [frame(served, 0), *BAD, b"9" * 300_000, BAD[0], one]
     told = tmp_path / "metrics.jsonl"
     words = command(served, receiver, "udp+json", f"--metrics={told}", "--refine=off")
     ran = CliRunner().invoke(cli.app, words, input=b"\n".join(lines))
     assert ran.exit_code == 0, ran.stderr
-    expected = served.client.lift(served.model, served.capture.keypoints[:2], refine="off")
+    keypoints = served.capture.keypoints[:2].copy()
+    keypoints[1, 2] = np.nan
+    expected = served.client.lift(served.model, keypoints, refine="off")
     for place in range(2):
         sent = json.loads(receiver.recv(65536))
         while sent["sequence"] != 100 + place:  # those before may be repeated
@@ -127,43 +125,100 @@ def test_a_stream_that_breaks_is_opened_anew(
     assert sum(each.count(b"GET /lift/stream") for each in line.asked) == 2
 
 
+@contextmanager
+def running(words: list[str]) -> Iterator["subprocess.Popen[str]"]:
+    python = [sys.executable, "-c", INTERRUPTIBLE, *words]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(python, stdin=pipe, stderr=pipe, text=True, bufsize=1) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def read_until(process: "subprocess.Popen[str]", words: str) -> str:
+    """Return the next line on stderr that matches."""
+    assert process.stderr is not None
+    return next(line for line in process.stderr if re.search(words, line))
+
+
+def address_of(process: "subprocess.Popen[str]") -> tuple[str, int]:
+    return "127.0.0.1", int(read_until(process, "listening on udp://").rsplit(":", 1)[1])
+
+
 def test_datagrams_become_points_until_it_is_interrupted(
     served: Served, receiver: socket.socket
 ) -> None:
-    words = command(served, receiver, "osc", "--from=udp://127.0.0.1:0", "--hold=0", "--fade=0")
-    with subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTIBLE, *words], stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        said = process.stderr.readline()
-        assert "listening on udp://" in said
-        place = ("127.0.0.1", int(said.rsplit(":", 1)[1]))
+    """One that a later one has overtaken on its way is dropped."""
+    words = command(served, receiver, "osc", "--from=udp://localhost:0", "--hold=0", "--fade=0")
+    with running(words) as process:
+        place = address_of(process)
         receiver.sendto(BAD[0], place)
-        receiver.sendto(frame(served, 3), place)
+        receiver.sendto(frame(served, 4), place)
         data = receiver.recv(65536)
+        for number in (3, 5):
+            receiver.sendto(frame(served, number), place)
+        receiver.recv(65536)
         process.send_signal(signal.SIGINT)
-        try:
-            _, rest = process.communicate(timeout=30)
-        finally:
-            process.kill()
+        _, rest = process.communicate(timeout=30)
         assert process.returncode == 0, rest
     assert "a frame is not JSON" in rest
+    assert "1 bad, 1 dropped" in rest
     found = read_osc(data)
     assert {address for address, _ in found} == {"/fewview/point"}
     assert {name for _, (name, *_) in found} <= set(served.capture.keypoint_names or ())
     assert all(np.isfinite(numbers).all() for _, (_, *numbers) in found)
 
 
-def test_bones_are_sent_as_unity_names_them() -> None:
-    holder = Holder(len(REST), hold=1, fade=1)
-    pose = holder.take(0, np.array(list(REST.values()), float), None, 0)
-    (data,) = writer_for("vmc", list(REST), 1.0)(pose)
-    found = read_osc(data)
-    assert found[0] == ("/VMC/Ext/OK", [1])
-    assert [address for address, _ in found[1:3]] == ["/VMC/Ext/T", "/VMC/Ext/Root/Pos"]
-    assert all(address == "/VMC/Ext/Bone/Pos" for address, _ in found[3:])
-    names = [params[0] for _, params in found[3:]]
-    assert names == ["Hips", "Spine", "LeftUpperArm", "LeftLowerArm"]
+def test_an_interrupt_ends_it_while_it_waits_for_a_line(
+    served: Served, receiver: socket.socket
+) -> None:
+    """A disk that is full ends the file of figures, and nothing else."""
+    with running(command(served, receiver, "osc", "--metrics=/dev/full")) as process:
+        assert "No space left on device" in read_until(process, "--metrics: ")
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=30)
+        assert process.returncode == 0, rest
+
+
+def test_a_model_that_is_deleted_ends_it(
+    served: Served, receiver: socket.socket, tmp_path: Path
+) -> None:
+    weights = served.client.models.download(served.model, tmp_path / "model.safetensors")
+    words = command(served, receiver, "udp+json")
+    words[1] = copy = served.client.models.upload(weights).id
+    with running(words) as process:
+        assert process.stdin is not None
+        process.stdin.write(f"{frame(served, 0).decode()}\n")
+        receiver.recv(65536)
+        served.client.models.delete(copy)
+        with suppress(BrokenPipeError):
+            while process.poll() is None:
+                process.stdin.write(f"{frame(served, 1).decode()}\n")
+                time.sleep(0.05)
+        _, rest = process.communicate(timeout=30)
+        assert process.returncode == 2, rest
+    assert f"There is no model '{copy}'" in rest
+
+
+def test_frames_wait_for_a_slow_service_where_newer_ones_replace_them(
+    served: Served, receiver: socket.socket
+) -> None:
+    sent = 100
+    host, port = served.live.url.removeprefix("http://").split(":")
+    line = Line((host, int(port)), free_port())
+    words = command(served, receiver, "udp+json", f"--url={line.url}", "--from=udp://127.0.0.1:0")
+    with line.open(), running(words) as process:
+        place = address_of(process)
+        receiver.sendto(frame(served, 0), place)
+        receiver.recv(65536)
+        line.open_back.clear()
+        for number in range(1, sent):
+            receiver.sendto(frame(served, number), place)
+        read_until(process, "(8|9)[0-9] dropped")
+        line.open_back.set()
+        while json.loads(receiver.recv(65536))["sequence"] != 100 + sent - 1:
+            pass
 
 
 @pytest.mark.parametrize(
@@ -174,6 +229,11 @@ def test_bones_are_sent_as_unity_names_them() -> None:
         (["--to=osc://127.0.0.1:1", "--from=tcp://127.0.0.1:1"], "--from: expected udp://"),
         (["--to=vmc://127.0.0.1"], "VMC needs keypoints that are named left_hip"),
         (["--to=osc://127.0.0.1:1", "--up=high"], "--up: expected auto or a vector"),
+        (["--to=osc://127.0.0.1:1", "--up=0,0,nan"], "--up: expected auto or a vector"),
+        (["--to=osc://127.0.0.1:1", "--up=auto", "--frame=canonical"], "--up: only with --frame"),
+        (["--to=osc://127.0.0.1:1", "--fps=30"], "--fps: only with --lag"),
+        (["--to=osc://127.0.0.1:1", "--hold=nan"], "expected a finite number"),
+        (["--to=osc://me@127.0.0.1:1"], "--to: expected"),
     ],
 )
 def test_what_is_asked_wrongly_is_refused(served: Served, words: list[str], reason: str) -> None:
@@ -190,71 +250,10 @@ def test_an_address_that_cannot_be_used_is_named_with_its_option(
     for words, reason in (
         (["--to=osc://127.0.0.1:1", taken], "--from: 127.0.0.1 port"),
         (["--to=osc://nowhere.invalid:1"], "--to: nowhere.invalid port 1"),
+        (["--to=osc://a..b:1"], "--to: a..b port 1"),
+        (["--to=osc://127.0.0.1:0"], "--to: 127.0.0.1 port 0"),
     ):
         asked = ["live", served.model, f"--url={served.live.url}", "--frame=canonical", *words]
         ran = CliRunner().invoke(cli.app, asked)
         assert ran.exit_code == 1
         assert reason in ran.stderr
-
-
-def turned(points: dict[str, tuple[float, float, float]], **fewer: float) -> dict[str, Any]:
-    holder = Holder(len(points), hold=1, fade=1)
-    holder.take(0, np.array(list(points.values()), float), None, 0)
-    pose = holder.pose(fewer.get("after", 0))
-    return {bone.name: bone for bone in Body(list(points)).turned(pose, metres=2)}
-
-
-REST = {
-    "left_shoulder": (-0.2, 1.4, 0),
-    "right_shoulder": (0.2, 1.4, 0),
-    "left_hip": (-0.1, 0.9, 0),
-    "right_hip": (0.1, 0.9, 0),
-    "left_elbow": (-0.5, 1.4, 0),
-    "left_wrist": (-0.8, 1.4, 0),
-}
-
-
-def test_a_body_at_rest_is_not_turned_and_a_raised_arm_is() -> None:
-    """The T looks along Unity's +z; a left arm that points ahead is turned by +90 degrees."""
-    rest = turned({**REST, "left_hip": (-0.1, 0.9, 0.5), "right_hip": (0.1, 0.9, 0.5)} | REST)
-    assert rest.keys() == {"Hips", "Spine", "LeftUpperArm", "LeftLowerArm"}
-    assert rest["Hips"].position == pytest.approx((0, 1.8, 0))
-    for bone in rest.values():
-        assert bone.rotation == pytest.approx((0, 0, 0, 1), abs=1e-5)
-    half = np.sqrt(0.5)
-    ahead = {**REST, "left_elbow": (-0.2, 1.4, -0.3), "left_wrist": (-0.2, 1.4, -0.6)}
-    arm = turned(ahead)["LeftUpperArm"].rotation
-    # In Unity's axes the quaternion must take (-1, 0, 0) to (0, 0, 1).
-    assert rotated(arm, (-1, 0, 0)) == pytest.approx((0, 0, 1), abs=1e-5)
-    assert abs(arm[1]) == pytest.approx(half, abs=1e-5)
-    assert turned(ahead)["LeftLowerArm"].rotation == pytest.approx((0, 0, 0, 1), abs=1e-5)
-    about = {name: (-x, y, -z) for name, (x, y, z) in ahead.items()}  # looks the other way
-    assert turned(about)["LeftUpperArm"].rotation == pytest.approx(arm, abs=1e-5)
-    assert rotated(turned(about)["Hips"].rotation, (0, 0, 1)) == pytest.approx((0, 0, -1), abs=1e-5)
-
-
-def test_what_is_missing_is_held_then_turns_back_to_rest_then_is_gone() -> None:
-    ahead = {**REST, "left_elbow": (-0.2, 1.4, -0.3), "left_wrist": (-0.2, 1.4, -0.6)}
-    angles = [
-        np.degrees(2 * np.arccos(turned(ahead, after=after)["LeftUpperArm"].rotation[3]))
-        for after in (0.9, 1.5)
-    ]
-    assert angles == pytest.approx([90, 45], abs=0.001)
-    assert turned(ahead, after=2) == {}
-
-
-def rotated(quaternion: tuple[float, ...], vector: tuple[float, ...]) -> Any:
-    """Turn a vector by a quaternion x, y, z, w as Unity does: v + 2 q x (q x v + w v)."""
-    axis, w = np.array(quaternion[:3]), quaternion[3]
-    return np.array(vector) + 2 * np.cross(axis, np.cross(axis, vector) + w * np.array(vector))
-
-
-def test_messages_are_read_by_the_library_of_others() -> None:
-    sent: list[tuple[str, list[str | int | float]]] = [
-        (f"/fewview/{'x' * length}", ["é" * length, length, 0.5]) for length in range(60)
-    ]
-    found = []
-    for data in bundles(message(address, *values) for address, values in sent):
-        assert len(data) <= 1400
-        found += read_osc(data)
-    assert found == sent

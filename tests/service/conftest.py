@@ -96,6 +96,8 @@ def problem(response: httpx2.Response, status: int, code: str, pointer: str | No
     assert body["type"] == f"urn:fewview:problem:{code}"
     assert body["title"]
     assert body["detail"]
+    for item in body["errors"]:  # a place in the request, and none of pydantic's own
+        assert re.fullmatch(r"(/[^/\[\]()]*)*", item["pointer"]), body
     if pointer is not None:
         assert pointer in [item["pointer"] for item in body["errors"]], body
     return str(body["detail"])

@@ -77,3 +77,19 @@ def test_more_mistakes_than_anybody_reads(api: TestClient) -> None:
     problem(response, 422, "invalid_input")
     assert len(response.json()["errors"]) == 50
     problem(api.get("/fits?" + "&".join(f"a{n}" for n in range(5000))), 422, "invalid_input")
+
+
+@pytest.mark.parametrize(
+    ("url", "body", "pointer"),
+    [
+        ("/fits", {"dataset_id": "ds_1", "config": {"cameras_alike": 5}}, "/config/cameras_alike"),
+        ("/lifts", {"model_id": "m", "dataset_id": "d", "frame": "room", "up": [0, 0, 0]}, "/up"),
+        ("/lifts", {"model_id": "m", "dataset_id": "d", "frame": "room", "up": [0, "x"]}, "/up"),
+    ],
+)
+def test_what_may_be_one_of_two_kinds_is_refused_once(
+    api: TestClient, url: str, body: dict[str, Any], pointer: str
+) -> None:
+    refused = api.post(url, json=body)
+    problem(refused, 422, "invalid_input", pointer)
+    assert len(refused.json()["errors"]) == 1

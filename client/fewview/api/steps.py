@@ -107,7 +107,15 @@ Steps = Generator[Step, Any, T]
 
 
 def path(*parts: str) -> str:
-    """Return the path of these parts, which may hold any characters."""
+    """Return the path of these parts, which may hold any characters.
+
+    Raises
+    ------
+    ValueError
+        One is empty, as the identifier in a variable of the shell that was never set.
+    """
+    if not all(parts):
+        raise ValueError("expected an identifier, got an empty text")
     return "/" + "/".join(quote(part, safe="") for part in parts)
 
 

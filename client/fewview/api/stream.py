@@ -188,7 +188,8 @@ class Stream:
         Raises
         ------
         ApiError
-            A frame is wrong, and the stream goes on; or the stream ends.
+            A frame is wrong, the one of its ``sequence``, and the stream goes on; or, if that is
+            None, the stream ends.
         ConnectionFailed
             The stream was closed.
         """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fewview.commands.talking import WRONGLY_ASKED, AsJson, echo, in_short, say, table
+from fewview.commands.talking import WRONGLY_ASKED, AsJson, echo, finite, in_short, say, table
 
 if TYPE_CHECKING:
     from fewview.evaluation import Evaluation
@@ -28,7 +28,10 @@ def evaluate(
         Path | None, typer.Option(help="Compare the cameras in FOUND with this calibration.")
     ] = None,
     reach: Annotated[
-        float | None, typer.Option(help="Largest threshold of PCK, in the truth's unit.")
+        float | None,
+        typer.Option(
+            min=1e-12, callback=finite, help="Largest threshold of PCK, in the truth's unit."
+        ),
     ] = None,
     mirrored_too: Annotated[
         bool, typer.Option("--mirrored-too", help="Forgive a mirror image of all frames.")

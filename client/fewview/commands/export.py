@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from fewview.commands.talking import AsJson, Url, say, talking
+from fewview.commands.talking import AsJson, Url, finite, say, talking
 from fewview.mended import put_right
 
 USUAL = "trc,csv,glb,npz"
@@ -18,7 +18,9 @@ LengthUnit = Annotated[
 Height = Annotated[
     float | None,
     typer.Option(
-        min=1e-3, help="Of the body, in `--unit` or metres. The scale is then approximate."
+        min=1e-3,
+        callback=finite,
+        help="Of the body, in `--unit` or metres. The scale is then approximate.",
     ),
 ]
 Formats = Annotated[str, typer.Option(help="Formats of the animation, by commas.")]
@@ -29,7 +31,12 @@ def export(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write into.")],
     formats: Formats = USUAL,
-    fps: Annotated[float | None, typer.Option(help="Frames per second, if they are even.")] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6, max=1e5, callback=finite, help="Frames per second, if they are even."
+        ),
+    ] = None,
     unit: LengthUnit = None,
     height: Height = None,
     url: Url = None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fewview.commands.talking import AsJson, Url, say, table, talking
+from fewview.commands.talking import AsJson, Url, finite, say, table, talking
 
 if TYPE_CHECKING:
     from fewview.api.label_forms import ImageWorthLabelling
@@ -39,7 +39,8 @@ def labels(
         typer.Option(help="Where the fit shows keypoints, or those detected that it agrees with."),
     ] = "reprojections",
     least_weight: Annotated[
-        float, typer.Option(min=0, max=1, help="Labels of less weight are left out.")
+        float,
+        typer.Option(min=0, max=1, callback=finite, help="Labels of less weight are left out."),
     ] = 0.0,
     scorer: Annotated[str, typer.Option(help="As in the project of DeepLabCut.")] = "fewview",
     url: Url = None,

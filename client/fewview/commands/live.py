@@ -1,6 +1,7 @@
 """``fewview live``: keypoints as a detector finds them become 3D in another program."""
 
 import asyncio
+import math
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fewview.commands.lift import indices
-from fewview.commands.talking import Url, echo, talking
+from fewview.commands.talking import Url, echo, finite, talking
 
 if TYPE_CHECKING:
     from fewview.api.stream import Start
@@ -39,16 +40,35 @@ def live(
         str, typer.Option(help="`room`: of the static cameras; `canonical`: of each frame.")
     ] = "room",
     up: Annotated[
-        str, typer.Option(help="Up in the room: `auto`, or a vector such as `0,-1,0`.")
-    ] = "auto",
+        str | None,
+        typer.Option(help="Up in the room: `auto`, the default, or a vector such as `0,-1,0`."),
+    ] = None,
+    lag: Annotated[
+        int | None,
+        typer.Option(min=0, max=50, help="Smooth each frame in time, by up to so many later ones."),
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6,
+            max=1e5,
+            callback=finite,
+            help="With --lag: frames per second of `sequence`; else each frame has its `time`.",
+        ),
+    ] = None,
     metres: Annotated[
-        float, typer.Option(min=1e-6, max=1e6, help="What a unit of the model is, for VMC.")
+        float,
+        typer.Option(
+            min=1e-6, max=1e6, callback=finite, help="What a unit of the model is, for VMC."
+        ),
     ] = 1.0,
     hold: Annotated[
-        float, typer.Option(min=0, max=60, help="Seconds that a missing keypoint stays.")
+        float,
+        typer.Option(min=0, max=60, callback=finite, help="Seconds that a missing keypoint stays."),
     ] = 0.5,
     fade: Annotated[
-        float, typer.Option(min=0, max=60, help="Seconds that it fades after that.")
+        float,
+        typer.Option(min=0, max=60, callback=finite, help="Seconds that it fades after that."),
     ] = 0.5,
     metrics: Annotated[
         Path | None, typer.Option(help="A file that gets a line of JSON each second.")
@@ -79,7 +99,13 @@ def live(
         if refine is not None:
             start["refine"] = refine
         if frame == "room":
-            start["up"] = up if up == "auto" else _vector(up)
+            start["up"] = "auto" if up in {None, "auto"} else _vector(up)
+        elif up is not None:
+            raise ValueError("--up: only with --frame room")
+        if lag is not None:
+            start["lag"] = lag
+        if fps is not None and lag is None:
+            raise ValueError("--fps: only with --lag")
         writer = writer_for(scheme, names, metres)
         target = Target(host, port)
         stack.callback(target.close)
@@ -90,7 +116,7 @@ def live(
             async with AsyncClient(url, patience=PATIENCE) as asked:
                 await Bridge(
                     client=asked,
-                    model=model,
+                    model=found.id,  # an alias may be moved, to one with other keypoints
                     start=start,
                     source=listen,
                     names=names,
@@ -98,6 +124,7 @@ def live(
                     target=target,
                     holder=Holder(found.keypoints, hold, fade),
                     figures=figures,
+                    fps=fps,
                 ).run()
 
         with suppress(KeyboardInterrupt):  # which is how it usually ends
@@ -106,6 +133,9 @@ def live(
 
 def _vector(text: str) -> list[float]:
     try:
-        return [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise ValueError(f"--up: expected auto or a vector such as 0,-1,0, got {text!r}") from error
+        vector = [float(part) for part in text.split(",")]
+        if len(vector) == 3 and any(vector) and all(map(math.isfinite, vector)):
+            return vector
+    except ValueError:
+        pass
+    raise ValueError(f"--up: expected auto or a vector such as 0,-1,0, got {text!r}")

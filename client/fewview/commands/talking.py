@@ -1,6 +1,7 @@
 """What all commands that talk to the service have in common: options, errors, output."""
 
 import json
+import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,13 @@ Tags = Annotated[list[str] | None, typer.Option(help="A word to find it by; may 
 Metadata = Annotated[
     list[str] | None, typer.Option(help="`key=value` or JSON to find it by; may repeat.")
 ]
+
+
+def finite(number: float | None) -> float | None:
+    """Return the number of an option; refuse what is none, which a range lets through."""
+    if number is not None and not math.isfinite(number):
+        raise typer.BadParameter(f"expected a finite number, got {number}")
+    return number
 
 
 def echo(text: str, *, err: bool = False) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import time
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,14 +15,24 @@ from fewview.api.stream_messages import Answer, Dropped
 from fewview.client import AsyncClient
 from fewview.errors import ApiError, ConnectionFailed
 from fewview.live.figures import Figures
-from fewview.live.frames import WAITING, Arrival, Datagrams, Frame, Queue, follow_lines, read_frame
+from fewview.live.frames import (
+    WAITING,
+    Arrival,
+    Datagrams,
+    Frame,
+    Order,
+    Queue,
+    follow_lines,
+    read_frame,
+)
 from fewview.live.holding import Holder, Pose
-from fewview.live.targets import Target, Writer, about
+from fewview.live.targets import Target, Writer, about, usual_address
 
 REPORT_SECONDS = 1.0
 IDLE_SECONDS = 1 / 30  # without an answer, after which the pose that fades is sent by itself
 FRUITLESS = 8  # streams one after another that end before they answer
 TRANSIENT = {408, 429, 500, 502, 503, 504}  # statuses of closed streams that are opened anew
+IN_HAND = 16  # frames without an answer: more would wait on the way, where none replaces them
 
 
 @dataclass
@@ -38,6 +47,8 @@ class Bridge:
         Host and port to listen on for datagrams; None: standard input, to its end.
     names
         P names of the keypoints.
+    fps
+        Frames per second of a stream with a lag; None: each frame has its time.
     """
 
     client: AsyncClient
@@ -49,7 +60,10 @@ class Bridge:
     target: Target
     holder: Holder
     figures: Figures
-    _pending: deque[tuple[int, Frame]] = field(default_factory=deque, init=False)
+    fps: float | None = None
+    _pending: dict[int, Frame] = field(default_factory=dict, init=False)
+    _fewer: asyncio.Event = field(default_factory=asyncio.Event, init=False)  # pending than before
+    _order: Order = field(default_factory=Order, init=False)
     _ended: bool = field(default=False, init=False)
     _answered: float = field(default=-np.inf, init=False)
     _fruitless: int = field(default=0, init=False)
@@ -74,11 +88,14 @@ class Bridge:
                 follow_lines(queue)
             else:
                 with about("--from", *self.source):
+                    family, address = usual_address(*self.source)
                     listening, _ = await asyncio.get_running_loop().create_datagram_endpoint(
                         lambda: Datagrams(queue, lambda: self.figures.count("dropped")),
-                        local_addr=self.source,
+                        local_addr=address[:2],
+                        family=family,
                     )
                 host, port = listening.get_extra_info("sockname")[:2]
+                host = f"[{host}]" if ":" in host else host
                 self.figures.show(f"listening on udp://{host}:{port}")
             await self._stream(queue, None)  # at once, so that what is wrong is said at once
             while not self._ended:
@@ -98,6 +115,9 @@ class Bridge:
         try:
             async with self.client.stream(self.model, **self.start) as stream:
                 opened = True
+                if first is not None and self.source is not None and not queue.empty():
+                    self.figures.count("dropped")  # opening took long, and newer ones have come
+                    first = None
                 await self._pass_on(stream, queue, first)
         except (ApiError, ConnectionFailed) as error:
             refused = isinstance(error, ApiError) and error.status not in TRANSIENT
@@ -107,6 +127,7 @@ class Bridge:
             for _ in self._pending:
                 self.figures.count("dropped")
             self._pending.clear()
+            self._fewer.set()
             self.figures.count("reconnects", str(error))
             await asyncio.sleep(pause_before(self._fruitless))
 
@@ -130,44 +151,75 @@ class Bridge:
                         await task
 
     async def _send(self, stream: AsyncStream, queue: Queue, arrival: Arrival | None) -> None:
-        sequences = count()  # as the stream counts
+        sequences, last = count(), -np.inf  # as the stream counts; the time of the frame before
+        lag = self.start.get("lag")
         while True:
+            while len(self._pending) >= IN_HAND + (lag or 0):
+                self._fewer.clear()
+                await self._fewer.wait()
             arrival = arrival or await queue.get()
             if arrival.data is None:
                 self._ended = True
+                if lag is not None:
+                    await stream.flush()
                 return
-            try:
-                frame = read_frame(arrival, len(self.names))
-            except ValueError as error:
-                self.figures.count("bad", str(error))
-            else:
-                self._pending.append((next(sequences), frame))
-                await stream.send(frame.keypoints, confidence=frame.confidence)
-            arrival = None
+            frame, arrival = self._read(arrival), None
+            if frame is None:
+                continue
+            if frame.time is not None:
+                if frame.time <= last:  # its sender has begun anew
+                    await stream.flush()
+                last = frame.time
+            self._pending[next(sequences)] = frame
+            await stream.send(frame.keypoints, confidence=frame.confidence, time=frame.time)
+
+    def _read(self, arrival: Arrival) -> Frame | None:
+        """Return the frame that came, with its time if the stream has a lag; None if it is bad."""
+        try:
+            frame = read_frame(arrival, len(self.names))
+            frame = frame._replace(time=self._time(frame))
+        except ValueError as error:
+            self.figures.count("bad", str(error))
+            return None
+        if self.source is not None and self._order.is_overtaken(frame):
+            self.figures.count("dropped")
+            return None
+        return frame
+
+    def _time(self, frame: Frame) -> float | None:
+        if self.start.get("lag") is None:
+            return None
+        if self.fps is not None:
+            return frame.sequence / self.fps
+        if frame.time is None:
+            raise ValueError("time: expected seconds, which --lag needs; or give --fps")
+        return frame.time
 
     def _take(self, received: "asyncio.Task[Answer | Dropped]") -> None:
         try:
             message = received.result()
         except ApiError as error:
-            if error.code == "stream_closed" or not self._pending:
+            if error.sequence is None:
                 raise
-            self._pending.popleft()  # answers have the order of the frames
+            self._done(error.sequence)
             self.figures.count("bad", error.detail)
             return
         self._fruitless = 0
         if isinstance(message, Dropped):
-            for _ in message.sequences:
+            for sequence in message.sequences:
+                self._done(sequence)
                 self.figures.count("dropped")
-            self._pending = deque(
-                each for each in self._pending if each[0] not in message.sequences
-            )
             return
-        _, frame = self._pending.popleft()
+        frame = self._done(message.sequence)
         sds = None if message.points3d_sd is None else message.points3d_sd.astype(np.float64)
         points = message.points3d.astype(np.float64)
         self._answered = time.perf_counter()
         self._write(self.holder.take(frame.sequence, points, sds, self._answered))
         self.figures.answered(frame.come)
+
+    def _done(self, sequence: int) -> Frame:
+        self._fewer.set()
+        return self._pending.pop(sequence)
 
     def _write(self, pose: Pose) -> None:
         try:

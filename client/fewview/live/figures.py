@@ -4,6 +4,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import IO, Any
 
 import numpy as np
@@ -15,11 +16,16 @@ class Figures:
     """Counts frames and their latency, and prints each reason for a bad one once."""
 
     def __init__(self, show: Callable[[str], None], file: IO[str] | None) -> None:
-        self.show, self._file = show, file
+        self._show, self._file, self._last = show, file, ""
         self._since = time.perf_counter()
         self._latencies: list[float] = []
         self._shown: set[str] = set()
         self._counts: Counter[str] = Counter()
+
+    def show(self, line: str) -> None:
+        """Print a line; a terminal that is gone does not end the bridge."""
+        with suppress(OSError):
+            self._show(line)
 
     def answered(self, come: float) -> None:
         """Count a frame that came at a time of perf_counter, and has been sent on now."""
@@ -33,7 +39,10 @@ class Figures:
             self.show(f"{what}: {reason}")
 
     def report(self) -> None:
-        """Print what happened since the last report, and write it to the file as a line of JSON."""
+        """Print what happened since the last report, and write it to the file as a line of JSON.
+
+        While nothing happens that is printed once. Without room for the file there is none.
+        """
         now = time.perf_counter()
         milliseconds, seconds = 1000 * np.array(self._latencies), now - self._since
         self._latencies, self._since = [], now
@@ -51,7 +60,16 @@ class Figures:
         }
         latency = "" if median is None else f", latency {median:.1f} ms, p99 {late:.1f} ms"
         lost = "".join(f", {count} {what}" for what, count in self._counts.items())
-        self.show(f"{record['frames_per_second']:.1f} frames/s{latency}{lost}")
+        line = f"{record['frames_per_second']:.1f} frames/s{latency}{lost}"
+        if line != self._last:
+            self.show(line)
+        self._last = line
         if self._file is not None:
-            self._file.write(json.dumps(record) + "\n")
-            self._file.flush()
+            try:
+                self._file.write(json.dumps(record) + "\n")
+                self._file.flush()
+            except OSError as error:
+                self.show(f"--metrics: {error}; the file gets no more lines")
+                with suppress(OSError):  # that of what could not be written
+                    self._file.close()
+                self._file = None

@@ -41,7 +41,8 @@ def address_in(text: str, schemes: Sequence[str], option: str) -> tuple[str, str
         parts, host, port = urlsplit(""), None, None
     if port is None and parts.scheme == "vmc":
         port = VMC_PORT
-    if parts.scheme not in schemes or not host or port is None or parts.path not in {"", "/"}:
+    more = parts.path.removeprefix("/") or parts.query or parts.fragment or parts.username
+    if parts.scheme not in schemes or not host or port is None or more:
         known = " or ".join(f"{scheme}://host:port" for scheme in schemes)
         raise ValueError(f"{option}: expected {known}, got {text!r}")
     return parts.scheme, host, port
@@ -68,8 +69,18 @@ def about(option: str, host: str, port: int) -> Iterator[None]:
     """Name the option and its address where the system refuses it (OSError)."""
     try:
         yield
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # of names that no host can have
         raise OSError(f"{option}: {host} port {port} cannot be used ({error})") from error
+
+
+def usual_address(host: str, port: int) -> tuple[socket.AddressFamily, tuple[Any, ...]]:
+    """Return the family and address of a host for UDP: of IPv4 if it has one.
+
+    Nobody notices a datagram that nobody hears, and of `localhost` most programs listen to that.
+    """
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, address
 
 
 class Target:
@@ -77,10 +88,10 @@ class Target:
 
     def __init__(self, host: str, port: int) -> None:
         with about("--to", host, port):
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-        family, kind, protocol, _, address = found[0]
-        self._address: tuple[Any, ...] = address
-        self._socket = socket.socket(family, kind, protocol)
+            if port == 0:
+                raise OSError("no program listens on port 0")
+            family, self._address = usual_address(host, port)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def send(self, datagram: bytes) -> None:

@@ -1,14 +1,17 @@
 """A served app whose streams are open to tests, and frames as they travel."""
 
+import socket
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import httpx2
 import numpy as np
 import orjson
 import pytest
+from fewview import cli
+from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
 from models.lifting.lift import CAMERA_MODELS
@@ -44,6 +47,25 @@ VIEW.names = (
 def http(settings: Settings, model: str) -> Iterator[httpx2.Client]:
     with served(settings) as client:
         yield client
+
+
+def bridged(http: httpx2.Client, model: str, frames: list[dict[str, Any]], *options: str) -> Any:
+    """Return the points (P, 3) that `fewview live` sends of each frame, by its sequence number."""
+    lines = b"\n".join(map(orjson.dumps, frames))
+    found = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(0)
+        to = f"--to=udp+json://127.0.0.1:{receiver.getsockname()[1]}"
+        words = ["live", model, to, f"--url={http.base_url}", *options]
+        ran = CliRunner().invoke(cli.app, words, input=lines)
+        assert ran.exit_code == 0, ran.stderr
+        with suppress(BlockingIOError):
+            while True:
+                pose = orjson.loads(receiver.recv(65536))
+                points = [point["position"] for point in pose["points"]]
+                found.setdefault(pose["sequence"], np.array(points))
+    return found
 
 
 @contextmanager

@@ -23,12 +23,14 @@ from tests.service.conftest import (
     Live,
     frames_of,
     make_dataset,
+    nested,
     problem,
     to_safetensors,
 )
 from tests.service.realtime.conftest import (
     as_bytes,
     as_json,
+    bridged,
     opened,
     read_bytes,
     read_json,
@@ -196,11 +198,8 @@ def test_what_is_asked_of_no_room_is_refused(http: httpx2.Client, resting: str, 
         assert (error["sequence"], error["errors"][0]["pointer"]) == (3, "/views")
 
 
-def test_a_reconstruction_and_its_lifts_share_one_room(
-    http: httpx2.Client, settings: Settings, resting: str
-) -> None:
-    canonical = lifted(http, resting)
-    store = Store(settings)
+def recorded(http: httpx2.Client, store: Store, reconstruction: Arrays) -> str:
+    """Return a fit, as of a worker, that made this reconstruction and the model of these tests."""
     fit = fits.create(store, dataset_id=make_dataset(http)["id"], name="f", config={})
     attempt = attempts.claim(store, fit.id, lease_seconds=60)
     assert attempt is not None
@@ -210,12 +209,39 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
         store,
         attempt,
         weights=(FIXTURES / "resting.safetensors").read_bytes(),
-        reconstruction=save({name: np.concatenate([a] * 100) for name, a in canonical.items()}),
+        reconstruction=save(reconstruction),
         progress=None,
         describe=described | {"skeleton": {"keypoint_names": NAMES, "edges": []}},
     )
-    url = f"/fits/{fit.id}/reconstruction?format=safetensors"
-    model = http.get(f"/fits/{fit.id}").json()["model_id"]
+    return fit.id
+
+
+def test_the_bridge_has_y_up_and_the_floor_by_default(
+    http: httpx2.Client, settings: Settings, resting: str
+) -> None:
+    store = Store(settings)
+    fit = recorded(http, store, lifted(http, resting))
+    store.close()
+    model = http.get(f"/fits/{fit}").json()["model_id"]
+    frames = [{"sequence": n, "keypoints": nested(each)} for n, each in enumerate(KEYPOINTS)]
+    expected = lifted(http, model, "frame=room&up=auto")["points3d"]
+    found = bridged(http, model, frames)
+    assert found.keys() == set(range(len(frames)))
+    for n, points in found.items():
+        assert np.isfinite(expected[n]).all()
+        np.testing.assert_allclose(points, expected[n], atol=0.02)  # each continues the one before
+    lowest = [points[:2, 1].min() for points in found.values()]  # of the keypoints named as feet
+    assert np.quantile(lowest, 0.1) == pytest.approx(0, abs=0.03)
+
+
+def test_a_reconstruction_and_its_lifts_share_one_room(
+    http: httpx2.Client, settings: Settings, resting: str
+) -> None:
+    canonical = lifted(http, resting)
+    store = Store(settings)
+    fit = recorded(http, store, {name: np.concatenate([a] * 100) for name, a in canonical.items()})
+    url = f"/fits/{fit}/reconstruction?format=safetensors"
+    model = http.get(f"/fits/{fit}").json()["model_id"]
     for query in ("frame=room", "frame=room&up=0,-1,0.2", "frame=room&up=auto"):
         found = load(http.get(f"{url}&{query}").content)
         mine = lifted(http, model, query)
@@ -228,12 +254,12 @@ def test_a_reconstruction_and_its_lifts_share_one_room(
             assert np.quantile(lowest, 0.1) == pytest.approx(0, abs=1e-5)
         some = load(http.get(f"{url}&{query}&frames=1:6:2").content)
         np.testing.assert_array_equal(some["points3d"], found["points3d"][1:6:2])
-        body = http.get(f"/fits/{fit.id}/reconstruction?{query}").content  # placed part by part
+        body = http.get(f"/fits/{fit}/reconstruction?{query}").content  # placed part by part
         assert b'"frames":[' + b",".join(frames_to_json(found)) + b'],"findings":' in body
     problem(http.get(f"{url}&up=auto"), 422, "invalid_input", "/up")
     assert http.get(f"/models/{model}/cameras").json()["frame_of_reference"] == "upright"
 
-    fits.delete(store, fit.id)  # by another process: its frames gave up and the floor
+    fits.delete(store, fit)  # by another process: its frames gave up and the floor
     store.close()
 
     def forgotten() -> bool:

@@ -19,11 +19,12 @@ from service.settings import Settings
 from service.wire.stream_messages import StreamError
 from tests.models.lifting.comparison import without
 from tests.models.walk import film
-from tests.service.conftest import BYTES, JSON, frames_of, problem, served, to_npz
+from tests.service.conftest import BYTES, JSON, frames_of, nested, problem, served, to_npz
 from tests.service.realtime.conftest import (
     Array,
     as_bytes,
     as_json,
+    bridged,
     opened,
     read_bytes,
     read_json,
@@ -102,6 +103,23 @@ def off(prior: FittedPrior, points: Any) -> float:
     """
     clear = without(prior, "denoiser", "motion").lift(LATER_CLEAN[: len(points)]).points3d
     return float(np.linalg.norm(np.array(points) - clear, axis=-1).mean())
+
+
+@pytest.mark.parametrize("options", [(), (f"--fps={FPS}",)])
+def test_the_bridge_passes_smoothed_frames_on_to_the_last(
+    http: httpx2.Client, smoothing: str, prior: FittedPrior, options: tuple[str, ...]
+) -> None:
+    """A detector that begins anew begins another film."""
+    lag, count = 3, 12
+    following, expected = prior.follow(lag=lag), []
+    for n in range(count):
+        observed = following.push(NOISY[n : n + 1], None, n / FPS)
+        expected += [] if observed is None else [*prior.lift_observed(observed).points3d]
+    expected += [*prior.lift_observed(following.flush()).points3d]
+    frames = [{"sequence": n, "keypoints": nested(NOISY[n]), "time": n / FPS} for n in range(count)]
+    found = bridged(http, smoothing, frames[-3:] + frames, "--frame=canonical", "--lag=3", *options)
+    for n in range(count - 3):
+        np.testing.assert_allclose(found[n], expected[n], atol=1e-4)
 
 
 @pytest.mark.parametrize("form", ["json", "bytes"])
