@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 from fewview.errors import FormatError
 from fewview.plain import is_number
 
+NONE = "none"  # given in place of names, where there are none
 Align = Literal["auto", "index", "time"]
 Person = int | str
 Size = tuple[int, int]
@@ -51,7 +52,7 @@ class ReadingOptions:
     y
         "down", as in images; "up" if y counts from the lower edge.
     mirror
-        Names of the views whose images are mirrored; text with commas is a list.
+        Names of the views whose images are mirrored; text with commas is a list; "none": of none.
     offset
         (x, y) of the corner of a crop in the whole image, from which a view's keypoints count:
         text such as "cam2=560,180", or "560,180" for all.
@@ -173,6 +174,8 @@ class ReadingOptions:
     def named(self, option: Literal["cameras", "mirror"], views: Sequence[str]) -> list[int] | None:
         """Return the indices of the views that an option names; None if it was not given.
 
+        Mirrors that are "none" name no view.
+
         Raises
         ------
         FormatError
@@ -182,6 +185,8 @@ class ReadingOptions:
         if given is None:
             return None
         names = given.split(",") if isinstance(given, str) else given
+        if option == "mirror" and [name.strip() for name in names] == [NONE]:
+            return []
         places = [_place(name, views, option) for name in names]
         for place in places:
             if places.count(place) > 1:

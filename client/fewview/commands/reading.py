@@ -64,7 +64,8 @@ OPTIONS: dict[str, Any] = {
         Literal["down", "up"], typer.Option(help="`up` where y counts from the lower edge.")
     ],
     "mirror": Annotated[
-        str | None, typer.Option(help="Which views show mirror images, such as `cam2`.")
+        str | None,
+        typer.Option(help="Which views show mirror images, such as `cam2`; `none` if none does."),
     ],
     "offset": Annotated[
         str | None,

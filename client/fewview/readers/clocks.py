@@ -6,10 +6,9 @@ from datetime import UTC, datetime
 import numpy as np
 
 from fewview.capture import Float64
-from fewview.readers.headers import plain
+from fewview.readers.headers import unit_of
 from fewview.readers.separated import Words
 
-PARTS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3}
 _CLOCK = re.compile(r"\A(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
 
 
@@ -22,8 +21,7 @@ def seconds_in(words: Words, column: str) -> Float64 | None:
         Its name, whose end ``ms``, ``us`` or ``ns`` gives the unit. Times of day (12:00:01.5) and
         dates (ISO 8601) are read too.
     """
-    name = plain(column)
-    unit = next((size for part, size in PARTS.items() if name.endswith(plain(part))), 1.0)
+    unit = unit_of(column)
     try:
         known = np.array([_seconds(word, unit) for word in words.words])
     except ValueError:

@@ -48,6 +48,8 @@ ROLES = {
         "bodyparts markername label name feature point nodename"
     ),
 }
+# Of seconds, which the name of a time can end in.
+PARTS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3}
 LONGEST_CELL = 200  # characters of a header's cell that are understood
 FIELDS = {r"\{\}": "keypoint", r"\{camera\}": "camera", r"\{person\}": "person"}
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -106,6 +108,12 @@ class Columns:
 def plain(word: str) -> str:
     """Return a word in lower case, its letters and digits alone."""
     return "".join(filter(str.isalnum, word.lower()))
+
+
+def unit_of(column: str) -> float:
+    """Return the seconds of one unit of a column of times, by its name."""
+    name = plain(column)
+    return next((size for part, size in PARTS.items() if name.endswith(plain(part))), 1.0)
 
 
 def axis_of(word: str) -> str | None:

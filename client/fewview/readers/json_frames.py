@@ -6,14 +6,14 @@ a dictionary with keypoints, or a bare list of ``[x, y, confidence]``.
 
 from collections.abc import Sequence
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fewview.capture import Float32
+from fewview.capture import Float32, Float64
 from fewview.errors import FormatError
 from fewview.readers.file_names import frame_number
-from fewview.readers.headers import axis_of
+from fewview.readers.headers import ROLES, axis_of, plain, unit_of
 from fewview.readers.named_points import Point
 
 FRAMES = ("instance_info", "frames", "results", "predictions", "pose_results", "data", "keypoints")
@@ -28,14 +28,20 @@ POINTS = (
 SIDES = tuple((s, f"image_{s}", f"image{s.capitalize()}") for s in ("width", "height"))
 CALLED = ("name", "part", "joint", "jointName", "joint_name")  # a point, in its own fields
 SCORES = ("keypoint_scores", "keypoints_scores", "kp_score", "scores", "keypoint_confidences")
-NUMBERS = (
-    *("frame_id", "frame", "frame_index", "frame_idx", "frame_number", "frame_num"),
-    *("filename", "image_name", "image", "file_name", "image_id"),
-)
+NUMBERS = tuple(word for word in ROLES["frame"] if word not in ("", "index", "unnamed0"))
 BARE = "bodyparts"  # of SuperAnimal: a list of people, each a list of points
 LOOKED_INTO = 1000  # frames
+MOST_PEOPLE = 30  # of an image, where there are fewer files than that: more are frames
 MOST_SURE = 2.0  # of a confidence; flags of visibility go up to 2
-Frame = tuple[int | None, list[Any]]  # its number, if it has one, and its people
+LONGEST_STEP = 5.0  # seconds between frames: times with more count in another unit
+
+
+class Frame(NamedTuple):
+    """A frame: its number and its time in seconds, if it has them, and its people."""
+
+    number: int | None
+    time: float | None
+    people: list[Any]
 
 
 def frames_of(content: Any) -> list[Frame]:
@@ -44,17 +50,29 @@ def frames_of(content: Any) -> list[Frame]:
         content = next(
             (content[key] for key in FRAMES if _holds_frames(content.get(key), key)), content
         )
-    if isinstance(content, dict):
-        people = None if _are_numbered(content) else people_of(content)
-        listed = [(_number(content), people)] if people is not None else _by_names(content)
+    if isinstance(content, dict) and (_are_numbered(content) or people_of(content) is None):
+        listed = _by_names(content)
     else:
-        listed = [(_number(one), people_of(one)) for one in content or ()]
-    frames = [(number, people) for number, people in listed if people is not None]
+        each = [content] if isinstance(content, dict) else content or ()
+        listed = [(number_of(one), one) for one in each]
+    frames = [
+        Frame(number, time_of(one), people)
+        for number, one in listed
+        if (people := people_of(one)) is not None
+    ]
     if len(frames) < len(listed) or not any(
-        has_points(people) for _, people in frames[:LOOKED_INTO]
+        has_points(frame.people) for frame in frames[:LOOKED_INTO]
     ):
         return []
     return _by_number(frames)
+
+
+def times_of(frames: Sequence[float | None]) -> Float64 | None:
+    """Return the times (N,) of frames in seconds; None if one has none, or they are no seconds."""
+    if None in frames or len(frames) < 2:
+        return None
+    times = np.array(frames, np.float64)
+    return times if 0 < np.median(np.abs(np.diff(times))) < LONGEST_STEP else None
 
 
 def people_of(frame: Any) -> list[Any] | None:
@@ -96,17 +114,17 @@ def _are_numbered(content: dict[str, Any]) -> bool:
     return all(str(key).isdecimal() for key in content)
 
 
-def _by_names(content: dict[str, Any]) -> list[tuple[int | None, list[Any] | None]]:
+def _by_names(content: dict[str, Any]) -> list[tuple[int | None, Any]]:
     """Return the frames that a file has under the names of images; none if it has others."""
     numbers = [frame_number(key if "." in key else f"{key}.") for key in map(str, content)]
     if None in numbers:
         return []
     frames = zip(numbers, content.values(), strict=True)
-    return [(number and number[1], people_of(frame)) for number, frame in frames]
+    return [(number and number[1], frame) for number, frame in frames]
 
 
-def is_one_frame(content: Any) -> bool:
-    """Whether this is a detector's output for one image, and not for a whole video."""
+def is_one_frame(content: Any, files: int) -> bool:
+    """Whether this, of so many files, is a detector's output for an image, and not for a video."""
     if isinstance(content, dict):
         key = next((key for key in (*PEOPLE, BARE) if isinstance(content.get(key), list)), None)
         many = key in FRAMES and _holds_frames(content[key]) and len(content[key]) > 1
@@ -114,8 +132,16 @@ def is_one_frame(content: Any) -> bool:
     if not isinstance(content, list) or not content or not isinstance(content[0], dict):
         return False
     people = people_of(content)
-    return has_points(people) and all(
-        isinstance(one, dict) and not one.keys() & {*NUMBERS, *PEOPLE} for one in people or ()
+    if not has_points(people) or len(content) > max(MOST_PEOPLE, files):
+        return False
+    moments = {time_of(one) for one in content}
+    return len(moments) == 1 and not any(map(_is_frame, people or ()))
+
+
+def _is_frame(one: Any) -> bool:
+    """Whether this has the number of a frame, or several people."""
+    return not isinstance(one, dict) or bool(
+        one.keys() & set(PEOPLE) or {*NUMBERS} & set(map(plain, one))
     )
 
 
@@ -239,7 +265,8 @@ def _holds_frames(value: Any, key: str = "") -> bool:
         return False
     if key == "frames" or not all(isinstance(one, dict) for one in value):
         return all(people_of(one) is not None for one in value)
-    return any(one.keys() & {*NUMBERS, *PEOPLE} or _are_numbered(one) for one in value)
+    moments = {time_of(one) for one in value}
+    return len(moments) > 1 or any(_is_frame(one) or _are_numbered(one) for one in value)
 
 
 def _is_points(value: Any) -> bool:
@@ -284,35 +311,59 @@ def _are_pairs(values: np.ndarray[Any, np.dtype[np.float64]], scores: Any) -> bo
 
 
 def _is_point(value: Any) -> bool:
-    at = value.get("location", value) if isinstance(value, dict) else None
-    return isinstance(at, dict) and {"x", "y"} <= at.keys()
+    at = _place(value) if isinstance(value, dict) else None
+    return _is_points([at]) if isinstance(at, list) else isinstance(at, dict) and at.keys() >= _XY
+
+
+_XY = {"x", "y"}
+
+
+def _place(point: dict[str, Any]) -> Any:
+    return next((point[key] for key in ("position", "location") if key in point), point)
 
 
 def _point(point: dict[str, Any]) -> list[float]:
-    at = point.get("position", point.get("location", point))
+    at = _place(point)
+    x, y = at[:2] if isinstance(at, list) else (at["x"], at["y"])
     sure = next((v for k, v in point.items() if axis_of(k) in ("confidence", "visibility")), np.nan)
-    return [at["x"], at["y"], sure]
+    return [x, y, sure]
 
 
-def _number(frame: Any) -> int | None:
+def number_of(frame: Any) -> int | None:
     """Return the number of a frame, from its field or from the name of its image."""
-    fields = (
-        next((frame[key] for key in NUMBERS if key in frame), None)
-        if isinstance(frame, dict)
-        else None
-    )
-    if isinstance(fields, str):
-        found = frame_number(fields if "." in fields else f"{fields}.")
+    given = _field(frame, NUMBERS)
+    if isinstance(given, str):
+        found = frame_number(given if "." in given else f"{given}.")
         return found and found[1]
-    return fields if isinstance(fields, int) else None
+    return int(given) if isinstance(given, int | float) and given == given // 1 else None
+
+
+def time_of(frame: Any) -> float | None:
+    """Return the seconds that a frame has in its field; None if it has none."""
+    key = _key(frame, ROLES["time"])
+    time = frame[key] if key else None
+    return time * unit_of(key) if isinstance(time, int | float) else None
+
+
+def _field(frame: Any, words: Sequence[str]) -> Any:
+    key = _key(frame, words)
+    return frame[key] if key else None
+
+
+def _key(frame: Any, words: Sequence[str]) -> str:
+    """Return the key of a dictionary that is the first of these words; "" if none is."""
+    if not isinstance(frame, dict):
+        return ""
+    called = {plain(key): key for key in frame}
+    return next((called[word] for word in words if word in called), "")
 
 
 def _by_number(frames: list[Frame]) -> list[Frame]:
     """Join records of one frame, where each is of one person."""
-    numbers = [number for number, _ in frames]
+    numbers = [frame.number for frame in frames]
     if None in numbers or len(set(numbers)) == len(numbers):
         return frames
-    joined: dict[int | None, list[Any]] = {}
-    for number, people in frames:
-        joined.setdefault(number, []).extend(people)
-    return list(joined.items())
+    joined: dict[int | None, Frame] = {}
+    for frame in frames:
+        joined.setdefault(frame.number, frame._replace(people=[])).people.extend(frame.people)
+    return list(joined.values())

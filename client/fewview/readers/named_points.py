@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fewview.capture import Float32
 from fewview.errors import FormatError
@@ -20,11 +21,12 @@ SPARSEST, ANYHOW = 64, 2**20
 
 
 def side_by_side(
-    frames: Sequence[Sequence[Person]], what: str
+    frames: Iterable[Sequence[Person]], what: str
 ) -> tuple[tuple[str, ...], list[list[Float32 | None]]]:
     """Return the P names that anybody's points have, and everybody (P, 3) in their order.
 
-    Names are in the order in which they first appear. Who has no point takes no place.
+    Names are in the order in which they first appear. Who has no point takes no place. Frames are
+    asked for one after the other, and what they hold is kept as arrays.
 
     Raises
     ------
@@ -33,13 +35,27 @@ def side_by_side(
         file.
     """
     names: dict[str, int] = {}
-    points, most = 0, max((len(people) for people in frames), default=0)
+    kept: list[list[tuple[NDArray[np.intp], Float32]]] = []
+    points, most = 0, 0
     for people in frames:
         for person in people:
             points += len(person)
             for name in person:
                 names.setdefault(name, len(names))
-    cells = len(frames) * most * len(names)
+        most = max(most, len(people))
+        kept.append(
+            [
+                (
+                    np.array([names[name] for name in person], np.intp),
+                    np.array(list(person.values()), np.float32),
+                )
+                for person in people
+                if person
+            ]
+        )
+        if len(names) > MOST_NAMES:
+            break
+    cells = len(kept) * most * len(names)
     if len(names) > MOST_NAMES or cells > max(ANYHOW, SPARSEST * points):
         raise FormatError(
             f"{points:,} points have {len(names):,} names, of up to {most:,} people at a time; "
@@ -47,14 +63,14 @@ def side_by_side(
             place=what,
         )
     return tuple(names), [
-        [_placed(person, names) for person in people if person] for people in frames
+        [_placed(places, values, len(names)) for places, values in people] for people in kept
     ]
 
 
-def _placed(person: Person, names: Mapping[str, int]) -> Float32:
-    values = np.full((len(names), 3), np.nan, np.float32)
-    values[[names[name] for name in person]] = list(person.values())
-    return values
+def _placed(places: NDArray[np.intp], values: Float32, count: int) -> Float32:
+    placed = np.full((count, 3), np.nan, np.float32)
+    placed[places] = values
+    return placed
 
 
 def people_among(points: Iterable[tuple[Hashable, str, Point]]) -> list[dict[str, Point]]:

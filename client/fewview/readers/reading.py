@@ -24,7 +24,8 @@ from fewview.readers.timing import put_in_step, with_rates
 from fewview.readers.union import with_all_keypoints
 from fewview.readers.videos import with_video
 from fewview.readers.views import View, unseen
-from fewview.readers.views_in_names import with_views_in_names
+from fewview.readers.views_in_names import with_mirrors, with_views_in_names
+from fewview.readers.vision import turned_down
 from fewview.reading_options import Align, Person, ReadingOptions, Size, Sizes
 
 SHARES = 3.0  # most pixels lie further out than this many images
@@ -89,7 +90,8 @@ def read(
     y
         "up" if y counts from the lower edge of the image.
     mirror
-        Names of the views whose images are mirrored, left and right.
+        Names of the views whose images are mirrored, left and right; None: of those whose names
+        have a mirror in them, "none" if none is.
     offset
         Where in the whole image the corner lies from which a view's keypoints count, if they were
         found in a crop: "cam2=560,180", or "560,180" of all.
@@ -158,8 +160,11 @@ def read_with(
         beside = calibrations_at(given, notes)
         views, one_file = _views_at(given, beside.paths, options, notes)
     views = with_views_in_names(views, options.words_of_views)
+    if options.y == "down":
+        views = list(map(turned_down, views))
     names = distinct_parts([view.name for view in views])
     views = [replace(view, name=name) for view, name in zip(views, names, strict=True)]
+    views = with_mirrors(views) if options.mirror is None else views
     beside = calibrations_within(beside, views)
     wanted = options.named("cameras", names)
     known, calibration = of_views(beside, names, wanted, notes)

@@ -57,7 +57,8 @@ def put_right(
         for axis, turned, what in ((1, y == "up", "y"), (0, index in mirrored, "x")):
             if turned:
                 # A mirror in the image of other views has their right edge.
-                last = max(_last(v, axis) for v in (views if view.mirrored else [view]))
+                shared = view.mirrored and view.image_size is None
+                last = max(_last(v, axis) for v in (views if shared else [view]))
                 for block in blocks(keypoints):
                     keypoints[block][..., axis] = last - keypoints[block][..., axis]
                 notes.append(f"{view.name}: {what} is {last:g} minus what the file has")

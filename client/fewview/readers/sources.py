@@ -217,7 +217,7 @@ def _is_json_frame(files: Sequence[Path]) -> bool:
     parsed = (content for content in contents if content and not _shows_nobody(content))
     content = next(parsed, None)
     of_image = isinstance(content, dict) and bool(content.keys() & {"landmarks", SHAPES})
-    return of_image or is_one_frame(content)
+    return of_image or is_one_frame(content, len(files))
 
 
 def _shows_nobody(content: Any) -> bool:

@@ -25,6 +25,7 @@ _BEGINNINGS = {
     ZIP: f"a zip file without `keypoints.npy`; an npz needs `keypoints`. {_DO}",
     NUMPY: "an .npy array of a shape that is no keypoints, (views, frames, keypoints, 2), or one "
     f"that {_3D}",
+    b"CDF": 'netCDF 3; write netCDF 4: `dataset.to_netcdf(path, engine="h5netcdf")`',
     b"RIFF": _VIDEO,
     b"\x1aE\xdf\xa3": _VIDEO,
     b"\x89PNG": _IMAGE,

@@ -4,19 +4,21 @@ A mirror in the image is a second camera (`real_nose`, `mirror_nose`); tools joi
 cameras (`cam1_nose`, `left_view.nose`, `nose_top`). The words of cameras stand first or last.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 from fewview.errors import FormatError
 from fewview.readers.views import View, with_keypoints
+from fewview.reading_options import NONE
 
-NONE = "none"  # given in place of words: names have no camera in them
 FEWEST, IN_COMMON = 4, 0.5  # keypoints that views have in common, and their share of all
 _BETWEEN = "_.-/ :"
 # Words that are of cameras and of no part of a body, where equal parts follow each of them.
 _ALONE = {"real", "direct", "top", "bot", "bottom", "side", "dorsal", "ventral", "lateral"}
 _CAMERAS = ("camera", "cam", "view")
 _MIRRORS = ("mirror", "reflect")
+_IS_MIRROR = re.compile(r"(?<![a-z])(?:mirror|reflect)(?!less)(?!.*flip)")
 LONGEST = 16  # characters of such a word
 Parted = dict[str, list[tuple[str, int]]]  # of each word the keypoints, and their places
 
@@ -120,10 +122,7 @@ def _parted(view: View, cameras: Parted, *, several: bool) -> list[View]:
     left = [name for place, name in enumerate(names) if place not in taken]
     for word, keypoints in cameras.items():
         places = {place: new for new, (_, place) in enumerate(keypoints)}
-        mirror = any(each in word.lower() for each in _MIRRORS)
         notes = [f"its keypoints are those with {word!r} in their names (--views-in-names)"]
-        if mirror:
-            notes.append("it is taken for a mirror's image (--mirror)")
         if left:
             notes.append(f"{', '.join(left)} left out, as their names have no camera")
         edges = [(places[a], places[b]) for a, b in view.edges or () if {a, b} <= places.keys()]
@@ -134,8 +133,22 @@ def _parted(view: View, cameras: Parted, *, several: bool) -> list[View]:
                 keypoint_names=tuple(name for name, _ in keypoints),
                 edges=tuple(edges) or None,
                 points3d=None,
-                mirrored=mirror,
                 notes=(*view.notes, *notes),
             )
         )
     return out
+
+
+def with_mirrors(views: Sequence[View]) -> list[View]:
+    """Return the views, with those known for images of mirrors whose names say so, if not all do.
+
+    One whose name says that it was flipped is as a camera saw it.
+    """
+    mirrors = [_IS_MIRROR.search(view.name.lower()) is not None for view in views]
+    if all(mirrors):
+        return list(views)
+    note = "its name is a mirror's, so it is taken for a mirror's image (--mirror none if not)"
+    return [
+        replace(view, mirrored=True, notes=(*view.notes, note)) if mirror else view
+        for view, mirror in zip(views, mirrors, strict=True)
+    ]

@@ -7,12 +7,12 @@ Source: Apple's documentation of `VNHumanBodyPoseObservation.JointName` and
 `VNHumanHandPoseObservation.JointName`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from fewview.capture import Float32
-from fewview.readers.views import unseen
+from fewview.readers.views import View, unseen
 
 BODY = {
     "nose": "head_joint",
@@ -57,21 +57,25 @@ def usual(name: str) -> str:
     return _USUAL.get(name, name)
 
 
-def turned_down(keypoints: Float32, names: Sequence[str]) -> tuple[Float32, str]:
-    """Return shares (N, M, P, 2) with y downwards, and what was done; pixels stay as they are.
+def turned_down(view: View) -> View:
+    """Return a view with y downwards, if its points are shares of the image under Vision's names.
 
     They are left where heads are above hips as they stand: an app has turned them.
     """
-    keypoints = np.where(unseen(keypoints)[..., None], np.float32(np.nan), keypoints)
+    if not is_vision(view.keypoint_names or ()):
+        return view
+    keypoints = np.where(unseen(view.keypoints)[..., None], np.float32(np.nan), view.keypoints)
     if not np.nanmax(np.abs(keypoints), initial=0) <= WITHIN:
-        return keypoints, ""
-    places = {name: index for index, name in enumerate(map(usual, names))}
+        return view
+    places = {name: index for index, name in enumerate(map(usual, view.keypoint_names or ()))}
     above, below = (
         [keypoints[..., places[name], 1] for name in group if name in places]
         for group in (ABOVE, BELOW)
     )
     lower = [high - low for high in above for low in below]
     if lower and np.nanmean(np.sign(np.concatenate(lower))) < 0:
-        return keypoints, "heads are above hips where y goes down: y was left as it is"
-    keypoints[..., 1] = 1 - keypoints[..., 1]
-    return keypoints, "y was turned downwards, as Apple Vision counts it upwards"
+        note = "heads are above hips where y goes down: y was left as it is"
+    else:
+        keypoints[..., 1] = 1 - keypoints[..., 1]
+        note = "y was turned downwards, as Apple Vision counts it upwards"
+    return replace(view, keypoints=keypoints, notes=(*view.notes, note))

@@ -193,6 +193,80 @@ def test_nwb_that_pynwb_wrote(tmp_path: Path) -> None:
     assert capture.calibration is not None
 
 
+def test_estimates_in_3d_are_left_out(tmp_path: Path) -> None:
+    path = nwb(tmp_path / "a.nwb")
+    with h5py.File(path, "r+") as file:
+        room = file.create_group("processing/behavior/3D/Room")
+        room.attrs["neurodata_type"] = "PoseEstimation"
+        series = room.create_group("nose")
+        series.attrs["neurodata_type"] = "PoseEstimationSeries"
+        series["data"] = np.zeros((12, 3))
+    capture = fewview.read(path)
+    as_written(capture)
+    assert any("Room left out" in note for note in capture.notes)
+    with h5py.File(path, "r+") as file:
+        del file["processing/behavior/3D/Estimate0"], file["processing/behavior/3D/Estimate1"]
+    with pytest.raises(FormatError, match="give the 2D keypoints"):
+        fewview.read(path)
+
+
+def poses(view: int, *, plural: str = "") -> Any:
+    """Return a camera's dataset of poses, with the variables and attributes that movement gives."""
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    keypoint, individual = f"keypoint{plural}", f"individual{plural}"
+    position = np.swapaxes(WALKS[view, ..., :2], 1, 2)[..., None]
+    return xarray.Dataset(
+        {
+            "position": (("time", "space", keypoint, individual), position),
+            "confidence": (("time", keypoint, individual), WALKS[view, ..., 2:]),
+        },
+        {"time": np.arange(12) / 25, "space": ["x", "y"], keypoint: list(NAMES), individual: ["r"]},
+        {"fps": 25.0, "time_unit": "seconds", "ds_type": "poses", "source_software": "DeepLabCut"},
+    )
+
+
+def test_netcdf_that_xarray_wrote(tmp_path: Path) -> None:
+    both = [poses(view) for view in range(2)]
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed")
+    packed = {"position": {"dtype": "int32", "scale_factor": 1e-5, "_FillValue": -1}}
+    packed["confidence"] = {
+        "add_offset": 0.5,
+        "dtype": "int32",
+        "scale_factor": 1e-6,
+        "_FillValue": -1,
+    }
+    for view, each in enumerate(both):
+        folder = tmp_path / "files"
+        folder.mkdir(exist_ok=True)
+        path = folder / f"cam{view + 1}.nc"
+        each.isel(individual=0).to_netcdf(path, engine="h5netcdf", encoding=packed)
+    as_written(fewview.read(tmp_path / "files"))
+    cameras = xarray.DataArray(["left", "right"], dims="rig", name="rig")
+    together = xarray.concat(both, cameras).transpose("keypoint", "time", "rig", "space", ...)
+    together.to_netcdf(tmp_path / "a.nc", engine="h5netcdf", encoding={"position": {"zlib": True}})
+    capture = fewview.read(tmp_path / "a.nc")
+    as_written(capture)
+    assert capture.view_names == ("left", "right")
+
+
+def test_gaps_of_packed_netcdf(tmp_path: Path) -> None:
+    some = poses(0, plural="s")
+    some["position"][3, :, 1] = np.nan
+    packed = {"position": {"dtype": "int16", "scale_factor": 0.05, "_FillValue": -32768}}
+    some.to_netcdf(tmp_path / "cam1.nc", engine="h5netcdf", encoding=packed)
+    capture = fewview.read(tmp_path / "cam1.nc")
+    expected = WALKS[0, ..., :2].copy()
+    expected[3, 1] = np.nan
+    np.testing.assert_allclose(capture.keypoints[:, 0], expected, atol=0.026)
+
+
+def test_what_to_do_with_netcdf_3(tmp_path: Path) -> None:
+    pytest.importorskip("scipy", reason="scipy is not installed")
+    poses(0).to_netcdf(tmp_path / "cam1.nc", engine="scipy")
+    with pytest.raises(FormatError, match="write netCDF 4"):
+        fewview.read(tmp_path / "cam1.nc")
+
+
 def test_netcdf_that_movement_wrote(tmp_path: Path) -> None:
     load_poses = pytest.importorskip("movement.io.load_poses", reason="movement is not installed")
     for view, walk in enumerate(WALKS):

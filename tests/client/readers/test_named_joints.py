@@ -1,9 +1,10 @@
 """Points with names: labels of annotation tools, joints of Apple Vision, JSON of other makers."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import fewview
 import numpy as np
@@ -160,6 +161,55 @@ def test_joints_by_name_are_a_union_with_gaps(tmp_path: Path, layout: str) -> No
     as_it_was_seen(fewview.read(tmp_path))
 
 
+def test_lists_of_frames_are_cameras_and_no_frames(tmp_path: Path) -> None:
+    """A file for each camera, with a list of frames, of which each has one body."""
+    for layout in ("time", "camel", "bare"):
+        folder = tmp_path / layout
+        folder.mkdir()
+        for view in range(2):
+            frames = []
+            for frame in range(40):
+                points = present(view, frame % 6)
+                joint = {name: {"location": [x, y], "confidence": c} for name, x, y, c in points}
+                listed = [{"jointName": name, **each} for name, each in joint.items()]
+                moment = {"time": {"timestampMs": 40 * frame}, "camel": {"frameIndex": frame}}
+                frames.append(moment.get(layout, {}) | {"joints": listed})
+            (folder / f"cam{view + 1}.json").write_text(json.dumps(frames))
+        capture = fewview.read(folder)
+        assert (capture.frames, capture.views) == (40, 2)
+        as_it_was_seen(replace(capture, keypoints=capture.keypoints[:6], confidence=None))
+        if layout == "time":
+            assert capture.times is not None
+            np.testing.assert_allclose(capture.times, np.arange(40) / 25)
+
+
+def test_cameras_of_other_rates_are_joined_by_the_times_in_json(tmp_path: Path) -> None:
+    for view, rate in enumerate((50, 25)):
+        frames = [
+            {"timestamp": n / rate, "joints": {k: {"x": 100 * n / rate, "y": 9} for k in NAMES}}
+            for n in range(2 * rate)
+        ]
+        (tmp_path / f"cam{view + 1}.json").write_text(json.dumps(frames))
+    x = fewview.read(tmp_path).keypoints[..., 0, 0]
+    both = np.isfinite(x).all(1)
+    assert both.sum() == 50
+    np.testing.assert_allclose(x[both, 0], x[both, 1], atol=1e-4)
+
+
+def test_large_images_in_files_of_labelme_take_no_memory(tmp_path: Path) -> None:
+    shapes = [{"label": n, "points": [[8, 9]], "shape_type": "point"} for n in NAMES]
+    for frame in range(60):
+        content = {"shapes": shapes, "imageData": "A" * 200_000}
+        (tmp_path / f"img{frame:02d}.json").write_text(json.dumps(content))
+    fewview.read(tmp_path)  # what is imported and cached counts for nothing
+    tracemalloc.start()
+    try:
+        assert fewview.read(tmp_path).frames == 60
+        assert tracemalloc.get_traced_memory()[1] < 3e6  # of 12e6
+    finally:
+        tracemalloc.stop()
+
+
 VISION = {
     "nose": "head_joint",
     "neck": "neck_1_joint",
@@ -194,6 +244,16 @@ def test_apple_vision_counts_y_upwards(tmp_path: Path, identifiers: bool, downwa
     for name, y in named.items():
         assert np.isnan(y) or abs(y - expected[name]) < 0.01
     assert np.isnan(list(named.values())).sum() == 1
+
+
+def test_tables_of_apple_vision_are_turned_too(tmp_path: Path) -> None:
+    header = ",".join(f"{name}_x,{name}_y" for name in VISION)
+    row = ",".join(f"0.5,{y}" for y in (0.9, 0.8, 0.5, 0.5, 0.2))
+    (tmp_path / "cam1.csv").write_text("\n".join([header, *[row] * 4]))
+    ways: tuple[Literal["down", "up"], ...] = ("down", "up")
+    for way in ways:
+        y = fewview.read(tmp_path / "cam1.csv", image_size=SIZE, y=way).keypoints[0, 0, :, 1]
+        np.testing.assert_allclose(y, SIZE[1] * np.array([0.1, 0.2, 0.5, 0.5, 0.8]), atol=1.01)
 
 
 def test_names_that_are_no_keypoints_are_refused(tmp_path: Path) -> None:

@@ -38,6 +38,24 @@ def test_cameras_in_the_names_of_keypoints_are_views(tmp_path: Path) -> None:
     np.testing.assert_array_equal(capture.keypoints, split.keypoints)
 
 
+def test_a_file_that_is_called_a_mirror_is_a_mirror_image(tmp_path: Path) -> None:
+    real, mirror = csv(tmp_path / "rat_real.csv"), csv(tmp_path / "rat_mirror.csv")
+    seen = fewview.read([real, mirror], image_size=(800, 600))
+    asked = fewview.read([real, mirror], image_size=(800, 600), mirror="mirror")
+    np.testing.assert_array_equal(seen.keypoints, asked.keypoints)
+    np.testing.assert_allclose(seen.keypoints[:, 1, :, 0], 799 - XYZ[..., 0], rtol=1e-6)
+    assert "--mirror none" in "".join(seen.notes)
+    for names, given in (
+        (("rat_real", "rat_mirror"), "none"),
+        (("real", "mirror_flipped"), None),
+        (("mirrorless", "dslr"), None),
+        (("mirror1", "mirror2"), None),
+    ):
+        paths = [csv(tmp_path / f"{name}.csv") for name in names]
+        capture = fewview.read(paths, image_size=(800, 600), mirror=given)
+        np.testing.assert_allclose(capture.keypoints[:, 1], XYZ[..., :2], rtol=1e-6)
+
+
 def test_words_of_cameras_may_be_given(tmp_path: Path) -> None:
     other = XYZ + np.array((300, 20, 0))
     both = np.concatenate([XYZ, other], axis=1)

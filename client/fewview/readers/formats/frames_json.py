@@ -25,11 +25,13 @@ from fewview.readers.json_frames import (
     people_of,
     points_of,
     size_of,
+    time_of,
+    times_of,
 )
 from fewview.readers.named_points import side_by_side
 from fewview.readers.sources import Source
 from fewview.readers.views import Edges, View, packed
-from fewview.readers.vision import is_vision, turned_down
+from fewview.readers.vision import is_vision
 
 SKELETONS = ("coco-17", "coco-133", "halpe-26", "hands-21")
 
@@ -43,7 +45,6 @@ class Layout:
     matches: Callable[[Any, Sequence[Any]], bool]  # the content, and people in it
     words: str = ""
     y_first: bool = False
-    y_up: bool = False
 
 
 LAYOUTS = (
@@ -52,7 +53,6 @@ LAYOUTS = (
         "Apple Vision JSON",
         lambda _, people: _is_vision(people),
         "joints leftshoulder neck root rightupleg joint confidence location observations",
-        y_up=True,
     ),
     Layout(
         "easymocap",
@@ -113,7 +113,7 @@ def fits(source: Source, layout: Layout) -> bool:
 def _layout_of(source: Source) -> Layout | None:
     content = next(iter(cameras_of(source.json).values()))
     frames = frames_of(content)
-    people = [person for _, people in frames[:LOOKED_INTO] for person in people]
+    people = [person for frame in frames[:LOOKED_INTO] for person in frame.people]
     if not people:
         return None
     return next(each for each in LAYOUTS if each.matches(content, people))
@@ -137,19 +137,19 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
     what = str(source)
     try:
         frames = _frames(source, content)
-        everybody = [person for _, people in frames for person in people]
+        everybody = [person for frame in frames for person in frame.people]
         named = named_points(everybody)
         names: tuple[str, ...] | None
         if named is not None and not layout.y_first:
             mine = iter(named)
-            people_named = [[next(mine) for _ in people] for _, people in frames]
+            people_named = [[next(mine) for _ in frame.people] for frame in frames]
             names, detections = side_by_side(people_named, what)
         else:
             names, detections = (
                 None,
                 [
-                    [points_of(one, what, y_first=layout.y_first) for one in people]
-                    for _, people in frames
+                    [points_of(one, what, y_first=layout.y_first) for one in frame.people]
+                    for frame in frames
                 ],
             )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -157,15 +157,15 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
             raise
         raise FormatError(f"{layout.title} that is broken ({error!r})", place=what) from error
     keypoints, confidence = packed(detections, what)
-    given = [number for number, _ in frames if number is not None]
+    given = [frame.number for frame in frames if frame.number is not None]
+    times = times_of([frame.time for frame in frames])
     numbers = np.arange(len(frames))
     if len(set(given)) == len(frames):
         numbers = np.array(given, np.int64)
+    elif times is not None:
+        numbers[np.argsort(times, kind="stable")] = np.arange(len(frames))
     order = np.argsort(numbers)
     names = names or names_of(content, everybody, keypoints.shape[2])
-    note = ""
-    if layout.y_up:
-        keypoints, note = turned_down(keypoints, names or ())
     fps = content.get("fps") if isinstance(content, dict) else None
     return View(
         name,
@@ -175,9 +175,9 @@ def _view(source: Source, name: str, content: Any, layout: Layout) -> View:
         keypoint_names=names,
         edges=_edges(content, keypoints.shape[2]) if names else None,
         image_size=size_of(content),
+        times=None if times is None else times[order],
         fps=float(fps) if isinstance(fps, int | float) and fps > 0 else None,
         skeletons=SKELETONS,
-        notes=(note,) if note else (),
     )
 
 
@@ -189,7 +189,7 @@ def _frames(source: Source, content: Any) -> list[Frame]:
         number, people = frame_number(path.name), people_of(image)
         if people is None:
             raise FormatError("no people of one image", place=path)
-        frames.append((None if number is None else number[1], people))
+        frames.append(Frame(number and number[1], time_of(image), people))
     return frames
 
 

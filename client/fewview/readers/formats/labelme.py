@@ -6,6 +6,7 @@ X-AnyLabeling adds a `score`.
 Source: labelme's `label_file.py`, X-AnyLabeling's documentation of its format.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -33,16 +34,22 @@ def read(source: Source) -> list[View]:
     FormatError
         If a file has other content, or none has a point.
     """
-    contents = list(source.frames_json()) if source.frames else [source.json]
     paths = source.frames or (source.path,)
+    sizes: set[tuple[int, int] | None] = set()
+
+    def people() -> Iterator[list[dict[str, Point]]]:
+        for content in source.frames_json() if source.frames else [source.json]:
+            sizes.add(size_in(content, "imageWidth", "imageHeight"))
+            yield people_among(_points(content))
+
     try:
-        people = [people_among(_points(content)) for content in contents]
-        sizes = {size_in(content, "imageWidth", "imageHeight") for content in contents}
+        names, detections = side_by_side(people(), str(source))
+    except FormatError:
+        raise
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise FormatError(
             f"one of its files is none of labelme ({error!r})", place=source
         ) from error
-    names, detections = side_by_side(people, str(source))
     if not names:
         raise FormatError(
             "its shapes are no points: keypoints are shapes of the type `point`", place=source

@@ -11,13 +11,13 @@ import numpy as np
 from fewview.capture import Float32
 from fewview.errors import FormatError
 from fewview.readers.file_names import frame_number
+from fewview.readers.json_frames import number_of, time_of, times_of
 from fewview.readers.sources import Source
 from fewview.readers.views import Int64, View, packed
 
 KEYS = ("landmarks", "pose_landmarks", "poseLandmarks", "landmark", "hand_landmarks")
 PARTS = ("left_hand_landmarks", "right_hand_landmarks", "face_landmarks")  # of holistic
 CONFIDENCES = ("visibility", "vis", "score", "confidence")
-NUMBERS = ("frame", "frame_id", "frame_idx", "frame_index", "frame_number")
 Person = list[dict[str, Any]]
 
 
@@ -62,6 +62,7 @@ def read(source: Source) -> list[View]:
             confidence,
             keypoint_names=names,
             image_size=(int(width), int(height)) if width and height else None,
+            times=times_of([time_of(frame) for frame in frames]),
             fps=float(fps) if fps else None,
             notes=tuple(notes),
         )
@@ -77,17 +78,13 @@ def _frames(content: Any) -> list[Any]:
 
 def _numbers(frames: list[Any], source: Source) -> Int64:
     """Return the number of each frame, from the frames or from the names of their files."""
-    given: list[Any] = [
-        next((frame[key] for key in NUMBERS if key in frame), None)
-        if isinstance(frame, dict)
-        else None
-        for frame in frames
-    ]
+    given = [number_of(frame) for frame in frames]
     if source.frames:
         named = [frame_number(path.name) for path in source.frames]
         given = [number if number is None else number[1] for number in named]
-    if all(isinstance(number, int) for number in given) and np.all(np.diff(given) > 0):
-        return np.array(given, np.int64)
+    numbers = np.array([number for number in given if number is not None], np.int64)
+    if len(numbers) == len(frames) and np.all(np.diff(numbers) > 0):
+        return numbers
     return np.arange(len(frames))
 
 

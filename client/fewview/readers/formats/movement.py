@@ -1,12 +1,12 @@
 """movement's netCDF: a file for each camera, or one with a dimension of the cameras.
 
-`position` (time, space, keypoint, individual) and `confidence`. NetCDF 4 is HDF5; what its axes
-are shows in their sizes, in the order in which movement has them, with `view` or `camera` first.
+`position` (time, space, keypoint, individual) and `confidence`, with their axes in any order. An
+axis of another name is that of the cameras. NetCDF 4 is HDF5.
 
-Source: movement's documentation, "The movement datasets", and files that it writes.
+Source: movement's documentation, "The movement datasets", files that it writes, and the CF
+conventions on packed data and missing values.
 """
 
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,14 @@ from fewview.readers.sources import Source
 from fewview.readers.views import View
 
 NAMES = {  # of axes; older versions have the plural
+    "time": ("time",),
     "space": ("space",),
     "keypoint": ("keypoint", "keypoints"),
     "individual": ("individual", "individuals"),
-    "view": ("view", "views", "camera", "cameras"),
 }
-ORDER = ("time", "space", "keypoint", "individual")
-AXES = ("time", "individual", "keypoint", "space")  # of what is read
+VIEW = "view"  # the axis that is none of these
+AXES = (VIEW, "time", "individual", "keypoint", "space")  # of what is read
+_AXIS_OF = {name: axis for axis, names in NAMES.items() for name in names}
 Array = NDArray[Any]
 
 
@@ -43,77 +44,87 @@ def read(source: Source) -> list[View]:
     """
     what = str(source)
     with hdf5.opened(source.path) as file:
-        there = {axis: next(filter(file.__contains__, names), "") for axis, names in NAMES.items()}
-        if "shape" in file or not there["keypoint"]:
+        if "shape" in file or not any(name in file for name in NAMES["keypoint"]):
             raise FormatError(
                 "boxes of movement, without keypoints; give a dataset of poses", place=source
             )
+        place, called = _laid_out(file["position"], what)
         named = {
-            axis: [hdf5.text(each) for each in hdf5.values(file[name], what).ravel()]
-            for axis, name in there.items()
-            if name
+            axis: [hdf5.text(each) for each in np.ravel(hdf5.values(file[name], what))]
+            for axis, name in called.items()
+            if axis != "time" and name in file
         }
-        times = hdf5.values(file["time"], what).astype(np.float64).ravel()
-        if sorted(named["space"]) != ["x", "y"]:
+        times = np.ravel(hdf5.values(file["time"], what)).astype(np.float64)
+        space = named.get("space", [])
+        if sorted(space) != ["x", "y"]:
             raise FormatError(
-                f"its points have {', '.join(named['space'])}; give the 2D poses of each camera",
+                f"its points have {', '.join(space)}; give the 2D poses of each camera",
                 place=source,
             )
-        views = "view" if "view" in named else ""
-        sizes = {name: len(each) for name, each in named.items()} | {"time": len(times)}
-        place = _laid_out(hdf5.values(file["position"], what), sizes, views, ORDER, what)
-        sure = None
-        if "confidence" in file:
-            order = tuple(name for name in ORDER if name != "space")
-            sure = hdf5.values(file["confidence"], what)
-            if sure.ndim == file["position"].ndim - 2:  # of each individual
-                sure = np.repeat(sure[..., None, :], sizes["keypoint"], axis=-2)
-            sure = _laid_out(sure, sizes, views, order, what)
+        sure = _laid_out(file["confidence"], what)[0] if "confidence" in file else None
         fps = float(np.ravel(file.attrs.get("fps", 0))[0])
         seconds = hdf5.text(file.attrs.get("time_unit", "")) == "seconds"
-    place = place[..., [named["space"].index(axis) for axis in "xy"]].astype(np.float32)
+    if sure is not None and sure.shape[3] == 1:  # of each individual
+        sure = np.repeat(sure, place.shape[3], axis=3)
+    sizes = (len(times), len(named.get("keypoint", ())), place.shape[:4])
+    if sizes != (place.shape[1], place.shape[3], (sure if sure is not None else place).shape[:4]):
+        raise FormatError(
+            f"positions {place.shape} of views, times, individuals, keypoints, space do not fit "
+            "its coordinates and confidences",
+            place=source,
+        )
+    place = place[..., [space.index(axis) for axis in "xy"]].astype(np.float32)
     people = named.get("individual", [""])
     numbers = np.arange(len(times))
     if not seconds and (np.diff(times) > 0).all() and (times == np.rint(times)).all():
         numbers = times.astype(np.int64)
+    views = named.get(VIEW) or [""] * len(place)
     return [
         View(
-            name if views else source.name,
+            name or source.name,
             place[index],
             numbers,
-            None if sure is None else sure[index].astype(np.float32),
+            None if sure is None else sure[index, ..., 0].astype(np.float32),
             people=tuple(people) if len(set(people)) == len(people) else None,
             keypoint_names=tuple(named["keypoint"]),
             times=times if seconds and np.isfinite(times).all() else None,
             fps=fps if 0 < fps < np.inf else None,
         )
-        for index, name in enumerate(named[views] if views else [source.name])
+        for index, name in enumerate(views)
     ]
 
 
-def _laid_out(
-    values: Array, sizes: dict[str, int], views: str, order: tuple[str, ...], what: str
-) -> Array:
-    """Return an array with its axes as (views, time, individuals, keypoints, space).
+def _laid_out(variable: Any, what: str) -> tuple[Array, dict[str, str]]:
+    """Return an array with all of `AXES`, unpacked, and what the file calls those that it has.
 
     Raises
     ------
     FormatError
-        If its shape is not that of the coordinates.
+        If its axes have no names, or are of more kinds.
     """
-    there = tuple(name for name in order if name in sizes or values.ndim > len(sizes))
-    possible = [tuple(filter(None, (views, *there)))]
-    if views:
-        possible += [(*there, views), (there[0], views, *there[1:])]
-    for axes in possible:
-        if values.shape == tuple(sizes.get(name, 1) for name in axes):
-            wanted = [name for name in chain([views], AXES) if name in axes]
-            values = values.transpose([axes.index(name) for name in wanted])
-            if not views:
-                values = values[None]
-            return values if "individual" in axes else np.expand_dims(values, 2)
-    raise FormatError(
-        f"an array {values.shape} that does not fit its coordinates, "
-        + ", ".join(f"{name} {size}" for name, size in sizes.items()),
-        place=what,
-    )
+    values = hdf5.values(variable, what)
+    called = [next(iter(axis.keys()), "") for axis in variable.dims]
+    axes = [_AXIS_OF.get(name, VIEW) for name in called]
+    if "" in called or len(set(axes)) < len(axes):
+        raise FormatError(
+            f"{hdf5.text(variable.name.lstrip('/'))} has the axes {', '.join(called)}; "
+            f"give {', '.join(AXES[1:])}, and one of the cameras at most",
+            place=what,
+        )
+    order = [axes.index(axis) for axis in AXES if axis in axes]
+    absent = tuple(place for place, axis in enumerate(AXES) if axis not in axes)
+    values = np.expand_dims(_unpacked(values, variable.attrs).transpose(order), absent)
+    return values, dict(zip(axes, called, strict=True))
+
+
+def _unpacked(values: Array, attributes: Any) -> Array:
+    """Return what packed numbers (CF conventions) stand for, NaN where there is none."""
+    given = {
+        name: float(np.ravel(attributes[name])[0])
+        for name in ("_FillValue", "missing_value", "scale_factor", "add_offset")
+        if name in attributes
+    }
+    none = [given[name] for name in ("_FillValue", "missing_value") if name in given]
+    scale, offset = given.get("scale_factor", 1.0), given.get("add_offset", 0.0)
+    unpacked: Array = np.where(np.isin(values, none), np.nan, values * scale + offset)
+    return unpacked

@@ -2,7 +2,7 @@
 
 Read as HDF5: nothing of the schema that a file carries is carried out. `PoseEstimation`s that link
 to one device are the subjects of that camera. Cameras with a calibration (`CalibratedCamera`) are
-that of the capture; 3D estimates (`MultiCameraPoseEstimation`) are left out, their views are read.
+that of the capture; 3D estimates are left out, their views are read.
 
 Source: the specifications of NWB 2 and of ndx-pose 0.2 to 0.4.
 """
@@ -50,7 +50,14 @@ def read(source: Source) -> list[View]:
     """
     what = str(source)
     with hdf5.opened(source.path) as file:
-        found = [_estimate(group, source) for group in _groups(file, POSE)]
+        there = list(_groups(file, POSE))
+        plane = [group for group in there if not _is_3d(group)]
+        found = [_estimate(group, source) for group in plane or there]
+        left = tuple(
+            f"{group.name.rpartition('/')[2]} left out, as its points are 3D"
+            for group in there
+            if group not in plane
+        )
     if not found:
         raise FormatError(
             "NWB without a PoseEstimation of ndx-pose, which has the keypoints of a camera",
@@ -60,6 +67,7 @@ def read(source: Source) -> list[View]:
     for one in found:
         cameras.setdefault(one.device or one.subject, []).append(one)
     views = [_together(each, what) for each in cameras.values()]
+    views[0] = replace(views[0], notes=left)
     return views if len(views) > 1 else [replace(views[0], name=source.name)]
 
 
@@ -73,6 +81,12 @@ def _groups(group: Any, kind: str, depth: int = DEPTH) -> Iterator[Any]:
             yield inside
         elif depth and hasattr(inside, "keys"):
             yield from _groups(inside, kind, depth - 1)
+
+
+def _is_3d(estimate: Any) -> bool:
+    """Whether all series of an estimate are of points in 3D."""
+    shapes = [getattr(one.get("data"), "shape", ()) for one in _groups(estimate, SERIES, 0)]
+    return bool(shapes) and all(shape[1:] == (3,) for shape in shapes)
 
 
 def _type(item: Any) -> str:
