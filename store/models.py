@@ -107,7 +107,9 @@ def delete(store: Store, model_id: str) -> None:
     with store.writing() as session:
         # Its fit before the model itself: as all do.
         session.execute(
-            update(FitRecord).where(FitRecord.model_id == model_id).values(model_id=None)
+            update(FitRecord)
+            .where(FitRecord.model_id == model_id)
+            .values(model_id=None, revision=FitRecord.revision + 1)
         )
         model = lock(session, ModelRecord, model_id)
         alias = session.scalar(select(ModelAlias.name).where(ModelAlias.model_id == model.id))

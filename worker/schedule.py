@@ -42,6 +42,8 @@ class Forecast(NamedTuple):
         How many workers there are for it.
     measured
         How many durations this is known from.
+    priority
+        Of the fit, as this was expected.
     """
 
     ahead: int
@@ -49,6 +51,7 @@ class Forecast(NamedTuple):
     end: float | None
     workers: int
     measured: int
+    priority: str
 
 
 @dataclass
@@ -59,6 +62,7 @@ class _Fit:
     job_id: str
     running: bool
     job: Waiting
+    priority: str
     left: float  # seconds
     turn: float  # seconds that are left of its turn
     known: bool  # how long it takes
@@ -104,7 +108,8 @@ def _expected(fit: _Fit, workers: int, measured: int) -> Forecast:
     known = fit.known and workers > 0
     start = fit.started if fit.started is not None else fit.starts if known else None
     waits = fit.started is None
-    return Forecast(fit.place * waits, start, fit.ends if known else None, workers, measured)
+    ends = fit.ends if known else None
+    return Forecast(fit.place * waits, start, ends, workers, measured, fit.priority)
 
 
 SIZE = (
@@ -179,6 +184,7 @@ def _of_row(row: Any, durations: Durations, now: float, turn_seconds: float) -> 
         job=Waiting(
             Who(row.project, row.key_id or NO_KEY), rank(row.priority, now - row.created_at)
         ),
+        priority=row.priority,
         left=max(left, 0.0),
         turn=max(turn_seconds - since, 0.0),
         known=known,

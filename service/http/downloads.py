@@ -11,6 +11,7 @@ from starlette.responses import Response, StreamingResponse
 
 from service.http.errors import ApiError
 from service.http.places import Turns
+from service.http.preconditions import is_known
 
 _ONE_RANGE = re.compile(r"bytes=\s*([0-9]{0,18})-([0-9]{0,18})\s*")
 
@@ -59,7 +60,7 @@ def ranged_response(
     """
     headers, etag = _headers(filename), f'"{checksum}"'
     headers |= {"ETag": etag, "Accept-Ranges": "bytes"}
-    if _is_known(request, etag):
+    if is_known(request, etag):
         return Response(status_code=304, headers=headers)
     wanted = request.headers.get("range")
     span = None
@@ -85,19 +86,10 @@ def streamed_response(
     """
     etag = f'"{checksum}"'
     headers = _headers(None) | {"ETag": etag}
-    if _is_known(request, etag):
+    if is_known(request, etag):
         return Response(status_code=304, headers=headers)
     in_turns = _in_turns(request, _begun(pieces))
     return StreamingResponse(in_turns, headers=headers, media_type=media_type)
-
-
-def _is_known(request: Request, etag: str) -> bool:
-    """Return whether the client already has this representation."""
-    matches = [
-        tag.strip().removeprefix("W/")
-        for tag in request.headers.get("if-none-match", "").split(",")
-    ]
-    return etag in matches or "*" in matches
 
 
 def _begun(pieces: Iterator[bytes]) -> Iterator[bytes]:

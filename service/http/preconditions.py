@@ -1,21 +1,28 @@
-"""``If-Match`` (RFC 9110, 13.1.1): a record that has changed since it was read is left as it is.
+"""What depends on whether a client has something as it is.
 
-It is compared in the transaction that changes the record, once that is locked
+``If-None-Match`` (RFC 9110, 13.1.2): what a client has is not sent again. ``If-Match`` (13.1.1): a
+record that has changed since it was read is left as it is.
+
+The latter is compared in the transaction that changes the record, once that is locked
 (`store.expectations`). ``If-Unmodified-Since`` is ignored (13.1.4), as no answer has a
 ``Last-Modified``.
 """
 
 import hashlib
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import orjson
 from sqlalchemy import inspect
 from starlette.requests import HTTPConnection
+from starlette.responses import Response
 
 from service.http.errors import ApiError, invalid, problems
 from store.expectations import Expected
 from store.records import DatasetRecord, FitRecord, Job, LiftRecord, ModelRecord
+
+T = TypeVar("T")
 
 HEADER = "if-match"
 LONGEST = 1000  # characters
@@ -34,6 +41,24 @@ def etag_of(record: Any) -> str:
     written = [each.key for each in inspect(type(record)).column_attrs if not each.deferred]
     columns = {name: getattr(record, name) for name in written}
     return f'"{hashlib.sha256(orjson.dumps(columns)).hexdigest()[:32]}"'
+
+
+def is_known(request: HTTPConnection, etag: str) -> bool:
+    """Return whether the client already has this representation."""
+    matches = [
+        tag.strip().removeprefix("W/")
+        for tag in request.headers.get("if-none-match", "").split(",")
+    ]
+    return etag in matches or "*" in matches
+
+
+def tagged(request: HTTPConnection, response: Response, record: T, form: Callable[[T], Any]) -> Any:
+    """Return the form of a record and set its `ETag`; or 304 for a client that has it as it is."""
+    etag = etag_of(record)
+    if is_known(request, etag):
+        return Response(status_code=304, headers={"ETag": etag})
+    response.headers["ETag"] = etag
+    return form(record)
 
 
 def expected_by(connection: HTTPConnection) -> Expected | None:

@@ -1,14 +1,15 @@
 """Corrections: keypoints of a dataset that were put right or removed, beside what was detected."""
 
-from typing import Annotated, Self
+from functools import partial
+from typing import Annotated, Any, Self
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import ConfigDict
 
 from service.http.dependencies import Identifier, StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.operations import request_body
-from service.http.preconditions import etag_of
+from service.http.preconditions import etag_of, tagged
 from service.http.uploads import UploadBody
 from service.wire.corrections import Correction, CorrectionsChange, CorrectionsState
 from service.wire.json_bodies import read_json
@@ -42,14 +43,17 @@ class DatasetCorrections(CorrectionsState):
         return cls(**state.model_dump(), items=[Correction.of(each) for each in known])
 
 
-@router.get("/{dataset_id}/corrections", responses=problems("not_found"))
+@router.get(
+    "/{dataset_id}/corrections",
+    response_model=DatasetCorrections,
+    responses=problems("not_found"),
+)
 def list_corrections(
-    dataset_id: Identifier, store: StoreDep, response: Response
-) -> DatasetCorrections:
+    dataset_id: Identifier, store: StoreDep, request: Request, response: Response
+) -> Any:
     """List the keypoints of a dataset that were corrected or removed."""
     record, known = dataset_changes.corrections_of(store, dataset_id)
-    response.headers["ETag"] = etag_of(record)
-    return DatasetCorrections.listed(record, known)
+    return tagged(request, response, record, partial(DatasetCorrections.listed, known=known))
 
 
 @router.patch(

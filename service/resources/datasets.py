@@ -17,7 +17,7 @@ from service.http.dependencies import (
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
 from service.http.operations import request_body
-from service.http.preconditions import etag_of
+from service.http.preconditions import tagged
 from service.http.uploads import FilesBody, UploadBody
 from service.resources.changes import add_change_route
 from service.resources.dataset_bodies import (
@@ -243,12 +243,14 @@ add_list_routes(
 )
 
 
-@router.get("/{dataset_id}", responses=problems("not_found"))
-def get_dataset(dataset_id: Identifier, store: StoreDep, response: Response) -> Dataset:
+@router.get("/{dataset_id}", response_model=Dataset, responses=problems("not_found"))
+def get_dataset(
+    dataset_id: Identifier, store: StoreDep, request: Request, response: Response
+) -> Any:
     """Describe a dataset."""
-    record = lookup.get(store, records.DatasetRecord, dataset_id)
-    response.headers["ETag"] = etag_of(record)
-    return Dataset.of(record)
+    return tagged(
+        request, response, lookup.get(store, records.DatasetRecord, dataset_id), Dataset.of
+    )
 
 
 add_change_route(

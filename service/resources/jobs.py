@@ -12,7 +12,7 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.http.keyring import still_let_in
-from service.http.preconditions import etag_of
+from service.http.preconditions import tagged
 from service.resources.changes import Change, add_change_route
 from service.resources.events import EventsDep
 from service.resources.lists import Columns
@@ -99,9 +99,8 @@ def add_job_routes(
         description=f"Describe a {noun} and its progress.",
         responses=problems("not_found"),
     )
-    def get_job(job: Annotated[Job, found], response: Response) -> Any:
-        response.headers["ETag"] = etag_of(job)
-        return to_wire(job)
+    def get_job(job: Annotated[Job, found], request: Request, response: Response) -> Any:
+        return tagged(request, response, job, to_wire)
 
     add_change_route(router, kind, form, to_wire, change=change)
 

@@ -23,7 +23,7 @@ from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
 from service.http.operations import file_responses, request_body
-from service.http.preconditions import etag_of
+from service.http.preconditions import tagged
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
 from service.resources.changes import add_change_route
@@ -177,12 +177,10 @@ add_list_routes(
 )
 
 
-@router.get("/{model_id}", responses=problems("not_found"))
-def get_model(model_id: Identifier, store: StoreDep, response: Response) -> Model:
+@router.get("/{model_id}", response_model=Model, responses=problems("not_found"))
+def get_model(model_id: Identifier, store: StoreDep, request: Request, response: Response) -> Any:
     """Describe a model: configuration, training curve, errors."""
-    record = lookup.get(store, records.ModelRecord, model_id)
-    response.headers["ETag"] = etag_of(record)
-    return Model.of(record)
+    return tagged(request, response, lookup.get(store, records.ModelRecord, model_id), Model.of)
 
 
 @router.get(

@@ -342,14 +342,11 @@ def model_of(fit: records.FitRecord) -> str:
     if fit.model_id is None:
         going_on = fit.status in ("queued", "running")
         why = (
-            "they are there when it has succeeded"
+            "it is there when it has succeeded"
             if going_on
-            else ("it has not succeeded, or the model was deleted")
+            else "it has not succeeded, or the model was deleted"
         )
-        raise ConflictError(
-            f"Fit {fit.id!r} ({fit.status}) has no model to lift its frames with, nor its cameras: "
-            f"{why}."
-        )
+        raise ConflictError(f"Fit {fit.id!r} ({fit.status}) has no model, which this needs: {why}.")
     return fit.model_id
 
 

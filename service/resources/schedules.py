@@ -20,7 +20,7 @@ from worker.settings import WorkerSettings
 
 router = APIRouter(prefix="/fits", tags=["fits"])
 
-ENDED = Forecast(ahead=0, start=None, end=None, workers=0, measured=0)
+ENDED = Forecast(ahead=0, start=None, end=None, workers=0, measured=0, priority="")
 KNOWN_SECONDS = 2.0  # for how long an answer holds, or longer where it took long
 SHARE = 20
 
@@ -80,7 +80,8 @@ class Schedules:
             return ENDED
         with self._playing:
             began = time.monotonic()
-            if began >= self._until or fit.id not in self._known:
+            known = self._known.get(fit.id, ENDED)  # whose priority is that of none
+            if began >= self._until or known.priority != fit.priority:
                 self._known = self._play()
                 now = time.monotonic()
                 self._until = now + max(KNOWN_SECONDS, SHARE * (now - began))

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from fewview.commands.progress import FitProgressBar
 from fewview.commands.talking import AsJson, Url, finite, say, talking
 from fewview.mended import put_right
 
@@ -48,7 +49,8 @@ def export(
 
         chosen = formats_in(formats)
         output.mkdir(parents=True, exist_ok=True)
-        done = client.fits.wait(fit)
+        with FitProgressBar(quiet=as_json) as bar:
+            done = client.fits.wait(fit, on_progress=bar.show)
         capture = described_by(client, done)
         capture = replace(capture, fps=fps or capture.fps)
         check_height(height, capture.keypoint_names, done.config or {})

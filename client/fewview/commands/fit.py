@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +16,7 @@ from fewview.commands.talking import (
     echo,
     fields_in,
     findings_in,
+    in_short,
     say,
     talking,
 )
@@ -110,8 +110,10 @@ def fit(
         if not follow:
             say(made.raw, made.id, as_json=as_json)
         if not as_json:
-            with suppress(ApiError, ConnectionFailed):  # it is queued when the queue is back
+            try:
                 echo(_in_words(client.fits.schedule(made)), err=True)
+            except (ApiError, ConnectionFailed) as error:  # it is queued when the queue is back
+                echo(f"it is not known when it starts: {in_short(error)}", err=True)
         if not follow:
             return
         with FitProgressBar(quiet=as_json) as bar:

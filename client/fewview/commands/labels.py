@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from fewview.commands.progress import FitProgressBar
 from fewview.commands.talking import AsJson, Url, finite, say, table, talking
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def labels(
 ) -> None:
     """List the images that would teach the detector most; write what the fit accepts as labels."""
     with talking(url) as client:
-        done = client.fits.wait(fit)
+        with FitProgressBar(quiet=as_json) as bar:
+            done = client.fits.wait(fit, on_progress=bar.show)
         limit = None if every or most is None else min(most, LISTED)
         found = client.fits.labels(done, limit=limit)
         result = found.raw | {"files": []}

@@ -37,7 +37,9 @@ class FitProgressBar:
             self._bar.stop()
 
     def show(self, fit: "Fit") -> None:
-        """Show a fit as it is now."""
+        """Show a fit as it is now; nothing of one that had ended before."""
+        if fit.ended and not self._bar.live.is_started:
+            return
         self._bar.start()  # with the first fit there is to show
         progress = fit.progress
         if progress is None:

@@ -110,6 +110,8 @@ def test_followers_of_a_job_see_its_new_name(api: TestClient, urls: list[str]) -
 def test_a_stale_tag_changes_nothing(api: TestClient, urls: list[str]) -> None:
     for url in urls:
         tag = api.get(url).headers["etag"]
+        assert api.get(url, headers={"If-None-Match": tag}).status_code == 304
+        assert api.get(url, headers={"If-None-Match": '"other"'}).status_code == 200
         changed = api.patch(url, json={"name": "first"}, headers={"If-Match": tag})
         assert changed.headers["etag"] == api.get(url).headers["etag"] != tag
         stale = api.patch(url, json={"name": "second"}, headers={"If-Match": f'"x", {tag}'})

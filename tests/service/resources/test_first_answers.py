@@ -138,3 +138,8 @@ def test_the_network_takes_its_place(live: Live, dataset_id: str) -> None:
     assert cameras == live.get(f"/models/{ended['model_id']}/cameras")
     wait_for(lambda: len(objects_of(live, fit)) == 2 or None, "the end of what came first")
     assert objects_of(live, fit) == {"reconstruction", "report"}
+
+    known = {"If-None-Match": live.http.get(url).headers["etag"]}
+    assert live.http.get(url, headers=known).status_code == 304
+    live.http.delete(f"/models/{ended['model_id']}").raise_for_status()
+    assert live.http.get(url, headers=known).json()["model_id"] is None

@@ -76,6 +76,8 @@ def test_a_fit_that_waits_knows_its_place_and_no_times_without_workers(api: Test
     for schedule in known.values():
         assert schedule["status"] == "queued"
         assert schedule["expected_start"] is schedule["expected_end"] is None
+    api.patch(f"/fits/{second}", json={"priority": "high"}).raise_for_status()
+    assert api.get(f"/fits/{second}/schedule").json()["ahead"] == ahead[urgent]
     cancelled = api.post(f"/fits/{second}/cancel").json()
     ended = api.get(f"/fits/{second}/schedule").json()
     assert (ended["status"], ended["ahead"]) == ("cancelled", 0)

