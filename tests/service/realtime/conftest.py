@@ -49,10 +49,12 @@ def http(settings: Settings, model: str) -> Iterator[httpx2.Client]:
         yield client
 
 
-def bridged(http: httpx2.Client, model: str, frames: list[dict[str, Any]], *options: str) -> Any:
+def bridged(
+    http: httpx2.Client, model: str, frames: list[dict[str, Any]], *options: str
+) -> dict[int, Array]:
     """Return the points (P, 3) that `fewview live` sends of each frame, by its sequence number."""
     lines = b"\n".join(map(orjson.dumps, frames))
-    found = {}
+    found: dict[int, Array] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(0)

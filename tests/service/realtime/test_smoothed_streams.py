@@ -115,7 +115,9 @@ def test_the_bridge_passes_smoothed_frames_on_to_the_last(
     for n in range(count):
         observed = following.push(NOISY[n : n + 1], None, n / FPS)
         expected += [] if observed is None else [*prior.lift_observed(observed).points3d]
-    expected += [*prior.lift_observed(following.flush()).points3d]
+    last = following.flush()
+    assert last is not None
+    expected += [*prior.lift_observed(last).points3d]
     frames = [{"sequence": n, "keypoints": nested(NOISY[n]), "time": n / FPS} for n in range(count)]
     found = bridged(http, smoothing, frames[-3:] + frames, "--frame=canonical", "--lag=3", *options)
     for n in range(count - 3):
