@@ -24,6 +24,7 @@ FORMATS = (
     Format("csv-tidy", ".tidy.csv", "csv_tidy", "CSV with a row for each point of each frame"),
     Format("csv", ".csv", "csv_wide", "CSV with a row for each frame"),
     Format("trc", ".trc", "trc", "markers for OpenSim"),
+    Format("opensim-markers", ".markers.xml", "marker_set", "where OpenSim's models have them"),
     Format("c3d", ".c3d", "c3d", "markers for biomechanics"),
     Format("jsonl", ".jsonl", "json_lines", "JSON lines, one a frame"),
     Format("npz", ".npz", "npz", "arrays for NumPy"),

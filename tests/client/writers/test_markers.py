@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import ezc3d
 import numpy as np
@@ -60,6 +61,43 @@ def test_opensim_loads_a_trc_with_gaps_anywhere(tmp_path: Path, animation: Anima
     rows = [table.getRowAtIndex(n) for n in range(table.getNumRows())]
     loaded = [[row.getElt(0, n).to_numpy() for n in range(points.shape[1])] for row in rows]
     np.testing.assert_allclose(loaded, points, rtol=1e-6)
+
+
+JOINTS = {"LHip": "femur_l", "right_knee": "tibia_r", "leftWrist": "hand_l", "LHeel": "calcn_l"}
+
+
+def test_markers_of_a_trc_have_places_in_models_of_opensim(
+    tmp_path: Path, animation: Animation
+) -> None:
+    named = replace(animation, keypoint_names=("nose", *JOINTS))
+    path = write(tmp_path / "a.markers.xml", named)
+    found = ElementTree.parse(path).getroot().iter("Marker")  # noqa: S314 (our own)
+    places = {marker.get("name"): [part.text for part in marker] for marker in found}
+    assert places == {
+        name: [f"/bodyset/{body}", "0 0 0", "false" if name == "LHeel" else "true"]
+        for name, body in JOINTS.items()
+    }
+    for names, words in ((("a", "b", "c", "d", "e"), "no keypoint"), (animation.names, "blanks")):
+        with pytest.raises(FormatError, match=words):
+            write(tmp_path / "b.markers.xml", replace(animation, keypoint_names=names))
+    assert not (tmp_path / "b.markers.xml").exists()
+
+
+def test_opensim_puts_the_markers_on_bodies(tmp_path: Path, animation: Animation) -> None:
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not installed")
+    path = write(tmp_path / "a.markers.xml", replace(animation, keypoint_names=("nose", *JOINTS)))
+    model = opensim.Model()
+    for place, name in enumerate(JOINTS.values()):
+        body = opensim.Body(name, 1, opensim.Vec3(0), opensim.Inertia(1, 1, 1))
+        model.addBody(body)
+        at = opensim.Vec3(place, 0, 0), opensim.Vec3(0)
+        ends = model.getGround(), *at, body, opensim.Vec3(0), opensim.Vec3(0)
+        model.addJoint(opensim.WeldJoint(f"{name}_joint", *ends))
+    model.updateMarkerSet(opensim.MarkerSet(str(path)))
+    state = model.initSystem()
+    markers = model.getMarkerSet()
+    found = [markers.get(name).getLocationInGround(state).get(0) for name in JOINTS]
+    assert found == [0, 1, 2, 3]
 
 
 def test_a_hole_in_the_frame_numbers_stays(tmp_path: Path, animation: Animation) -> None:

@@ -1,7 +1,8 @@
 """movement's netCDF: a file for each camera, or one with a dimension of the cameras.
 
 `position` (time, space, keypoint, individual) and `confidence`, with their axes in any order. An
-axis of another name is that of the cameras. NetCDF 4 is HDF5.
+axis of another name is that of the cameras. NetCDF 4 is HDF5, and numbers its axes in attributes;
+references to them, which HDF5 has too, are not followed, as broken ones end the process.
 
 Source: movement's documentation, "The movement datasets", files that it writes, and the CF
 conventions on packed data and missing values.
@@ -25,6 +26,8 @@ NAMES = {  # of axes; older versions have the plural
 }
 VIEW = "view"  # the axis that is none of these
 AXES = (VIEW, "time", "individual", "keypoint", "space")  # of what is read
+USUAL = (VIEW, "time", "space", "keypoint", "individual")  # order, where axes have no numbers
+SCALE = "DIMENSION_SCALE"
 _AXIS_OF = {name: axis for axis, names in NAMES.items() for name in names}
 Array = NDArray[Any]
 
@@ -48,7 +51,7 @@ def read(source: Source) -> list[View]:
             raise FormatError(
                 "boxes of movement, without keypoints; give a dataset of poses", place=source
             )
-        place, called = _laid_out(file["position"], what)
+        place, called = _laid_out(file, "position", what)
         named = {
             axis: [hdf5.text(each) for each in np.ravel(hdf5.values(file[name], what))]
             for axis, name in called.items()
@@ -61,7 +64,7 @@ def read(source: Source) -> list[View]:
                 f"its points have {', '.join(space)}; give the 2D poses of each camera",
                 place=source,
             )
-        sure = _laid_out(file["confidence"], what)[0] if "confidence" in file else None
+        sure = _laid_out(file, "confidence", what)[0] if "confidence" in file else None
         fps = float(np.ravel(file.attrs.get("fps", 0))[0])
         seconds = hdf5.text(file.attrs.get("time_unit", "")) == "seconds"
     if sure is not None and sure.shape[3] == 1:  # of each individual
@@ -94,7 +97,7 @@ def read(source: Source) -> list[View]:
     ]
 
 
-def _laid_out(variable: Any, what: str) -> tuple[Array, dict[str, str]]:
+def _laid_out(file: Any, variable: str, what: str) -> tuple[Array, dict[str, str]]:
     """Return an array with all of `AXES`, unpacked, and what the file calls those that it has.
 
     Raises
@@ -102,19 +105,34 @@ def _laid_out(variable: Any, what: str) -> tuple[Array, dict[str, str]]:
     FormatError
         If its axes have no names, or are of more kinds.
     """
-    values = hdf5.values(variable, what)
-    called = [next(iter(axis.keys()), "") for axis in variable.dims]
+    values = hdf5.values(file[variable], what)
+    called = _axes(file, variable)
     axes = [_AXIS_OF.get(name, VIEW) for name in called]
-    if "" in called or len(set(axes)) < len(axes):
+    if len(called) != values.ndim or len(set(axes)) < len(axes):
         raise FormatError(
-            f"{hdf5.text(variable.name.lstrip('/'))} has the axes {', '.join(called)}; "
+            f"{variable} {values.shape} has the axes {', '.join(called) or 'without names'}; "
             f"give {', '.join(AXES[1:])}, and one of the cameras at most",
             place=what,
         )
     order = [axes.index(axis) for axis in AXES if axis in axes]
     absent = tuple(place for place, axis in enumerate(AXES) if axis not in axes)
-    values = np.expand_dims(_unpacked(values, variable.attrs).transpose(order), absent)
-    return values, dict(zip(axes, called, strict=True))
+    unpacked = _unpacked(values, file[variable].attrs)
+    return np.expand_dims(unpacked.transpose(order), absent), dict(zip(axes, called, strict=True))
+
+
+def _axes(file: Any, variable: str) -> list[str]:
+    """Return the names of an array's axes; none if the file does not have them."""
+    scales = [name for name in file if hdf5.text(file[name].attrs.get("CLASS")) == SCALE]
+    given = file[variable].attrs.get("_Netcdf4Coordinates")
+    if given is not None:
+        number = {int(file[name].attrs.get("_Netcdf4Dimid", -1)): name for name in scales}
+        return [number.get(each, "") for each in np.ravel(given).tolist()]
+    usual = sorted(scales, key=lambda name: USUAL.index(_AXIS_OF.get(name, VIEW)))
+    for absent in ((), NAMES["space"], NAMES["space"] + NAMES["keypoint"]):
+        there = [name for name in usual if name not in absent]
+        if file[variable].shape == tuple(len(file[name]) for name in there):
+            return there
+    return []
 
 
 def _unpacked(values: Array, attributes: Any) -> Array:
