@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from fewview.errors import FormatError
@@ -118,7 +119,12 @@ def unit_of(column: str) -> float:
 
 def axis_of(word: str) -> str | None:
     """Return what a column is called that holds x, y, z, a confidence or a visibility."""
-    return _AXIS_OF.get(plain(_UNIT.sub("", word))) if len(word) <= LONGEST_CELL else None
+    return _short_axis_of(word) if len(word) <= LONGEST_CELL else None
+
+
+@lru_cache(1000)  # JSON asks for the same few words of each point
+def _short_axis_of(word: str) -> str | None:
+    return _AXIS_OF.get(plain(_UNIT.sub("", word)))
 
 
 def stacked_columns(header: Sequence[Sequence[str]]) -> Columns:
