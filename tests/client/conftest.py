@@ -1,4 +1,4 @@
-"""The client against a served process, shared by the tests of a module."""
+"""The client against a served process, shared by the tests of a test process."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ def a_capture(frames: int = 60, seed: int = 5) -> Capture:
     )
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     live = start_service(tmp_path_factory.mktemp("client"), "--lift-chunk-frames=16")
     try:

@@ -9,7 +9,7 @@ import subprocess
 import threading
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,10 +29,11 @@ from models.settings.config import FitConfig
 from models.training.trainer import fit
 from service.app import create_app, make_server
 from service.settings import Settings
+from store.database import Store
 from tests.deployments import deployed
 from tests.fork_server import Popen
 from tests.processes import descendants, free_port, processes
-from tests.service.left_behind import end_keys
+from tests.service.left_behind import end_keys, stored
 from tests.service.owner import OwnersClient
 from tests.sharing import fitted_once
 from tests.waiting import wait_for
@@ -178,19 +179,18 @@ def model(api: TestClient, weights: bytes) -> str:
     return str(response.json()["id"])
 
 
+@pytest.fixture(scope="session")
+def records(settings: Settings) -> Iterator[Store]:
+    with closing(Store(settings)) as store:
+        yield store
+
+
 @pytest.fixture
-def unchanged(api: TestClient, settings: Settings) -> Iterator[None]:
+def unchanged(api: TestClient, records: Store, settings: Settings) -> Iterator[None]:
     """Nothing may be stored while the test runs: no record, no object."""
-
-    def stored() -> tuple[Any, ...]:
-        lists = [
-            api.get(f"/{kind}?limit=200").json() for kind in ("datasets", "fits", "models", "lifts")
-        ]
-        return *lists, sorted(p for p in (settings.data_dir / "objects").rglob("*") if p.is_file())
-
-    before = stored()
+    before = stored(records, settings)
     yield
-    assert stored() == before
+    assert stored(records, settings) == before
 
 
 def make_dataset(client: Any, frames: int = 6, seed: int = 0, **more: Any) -> dict[str, Any]:

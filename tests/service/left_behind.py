@@ -1,13 +1,24 @@
 """What a module of tests leaves behind, and others after it would meet."""
 
 from contextlib import closing
+from typing import Any
 
 from sqlalchemy import select
 
 from service.settings import Settings
 from store import access_keys, fits
 from store.database import Store
-from store.records import FitRecord
+from store.records import DatasetRecord, FitRecord, LiftRecord, ModelRecord
+
+
+def stored(records: Store, settings: Settings) -> list[Any]:
+    """Return all resources and objects there are: HTTP would take far longer to list them."""
+    with records.engine.connect() as connection:
+        rows = [
+            sorted(map(repr, connection.execute(select(kind.__table__))))
+            for kind in (DatasetRecord, FitRecord, ModelRecord, LiftRecord)
+        ]
+    return [*rows, sorted(p for p in (settings.data_dir / "objects").rglob("*") if p.is_file())]
 
 
 def end_keys(settings: Settings) -> None:

@@ -24,9 +24,9 @@ from tests.worker.conftest import CONFIG, FitHere, StartWorker, wait_for_step, w
 from worker import patience
 from worker.queue import enqueue, open_queue
 
-CHUNKS = 200
+CHUNKS = 100
 BRIEF = CONFIG | {"steps": 1, "refine": "off"}
-SLOW = {"steps": 600, "dictionary_sizes": [64, 16], "refine": "off"}
+SLOW = CONFIG | {"steps": 400, "refine": "off"}
 
 
 @contextmanager

@@ -57,7 +57,9 @@ def lift(store: Store, dataset_id: str, fit_here: FitHere) -> LiftRecord:
 def test_a_worker_takes_from_its_configured_queues(
     store: Store, redis: Redis, dataset_id: str, lift: LiftRecord, start_taking: StartTaking
 ) -> None:
-    fit = fits.create(store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1})
+    fit = fits.create(
+        store, dataset_id=dataset_id, name="f", config=CONFIG | {"steps": 1, "refine": "off"}
+    )
     for record in (fit, lift):
         enqueue(open_queue(redis, queue_for(store, record)), record)
     start_taking("lifts")

@@ -14,7 +14,7 @@ from models.numerics.steps import finished
 from models.settings.config import FitConfig
 from tests.models.rigs import IMAGE_SIZE, make_rig_capture
 
-CAPTURE = make_rig_capture([0, 100, 220], frames=30, noise=0.7, hidden=0.02, distance=2.5)
+CAPTURE = make_rig_capture([0, 100, 220], frames=20, noise=0.7, hidden=0.02, distance=2.5)
 
 
 def problem_with(keypoints: np.ndarray, size: tuple[int, int] = IMAGE_SIZE) -> CalibrationProblem:

@@ -48,7 +48,7 @@ def capture() -> RigCapture:
 def prior(capture: RigCapture) -> FittedPrior:
     sizes = [IMAGE_SIZE] * 3
     return fitted_once(
-        "lifting", lambda: fit(capture.keypoints, FitConfig(steps=200), image_sizes=sizes)
+        "lifting", lambda: fit(capture.keypoints, FitConfig(steps=80), image_sizes=sizes)
     )
 
 
@@ -239,7 +239,7 @@ def test_several_threads_lift_as_one(capture: RigCapture, prior: FittedPrior) ->
 
 
 def test_results_have_the_users_unit_and_the_users_rig() -> None:
-    capture = filmed(AZIMUTHS, slice(0, 30))
+    capture = filmed(AZIMUTHS, slice(0, 20))
     shin = float(np.linalg.norm(capture.points3d[0, SHIN[0]] - capture.points3d[0, SHIN[1]]))
     lens = {"fx": FOCAL, "fy": FOCAL, "cx": 640, "cy": 512, "distortion": [-0.12, 0.03]}
     rig = [

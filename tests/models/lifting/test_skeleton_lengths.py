@@ -112,7 +112,7 @@ def test_clear_keypoints_need_no_lengths(capture: RigCapture) -> None:
 
 @pytest.fixture(scope="module")
 def noisy() -> RigCapture:
-    return make_rig_capture(AZIMUTHS, frames=160, noise=NOISE, hidden=0.02, seed=4)
+    return make_rig_capture(AZIMUTHS, frames=80, noise=NOISE, hidden=0.02, seed=4)
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,8 @@ Tensor = torch.Tensor
 
 
 def _drawn(*shape: int, seed: int) -> Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    # Of the precision of fits, for which there is machine code: another would be compiled.
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def _weights(frames: int, views: int, keypoints: int) -> Tensor:
@@ -52,7 +53,7 @@ def test_reprojections_and_their_gradients_are_those_of_the_tensor_operations(sh
 
     for found, expected in zip(run(reproject), run(reproject_tensors), strict=True):
         scale = expected.detach().abs().max().item()
-        torch.testing.assert_close(found, expected, atol=1e-5 * scale, rtol=0)
+        torch.testing.assert_close(found, expected, atol=1e-4 * scale, rtol=0)
 
 
 def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() -> None:
@@ -62,7 +63,7 @@ def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() 
     matrices[1, 0, 1] = -2 * matrices[1, 0, 0]
     matrices[2, 0, 0] = 0
     matrices[3, 0] = torch.tensor([[0.0, 0, 1], [0, 0, 1]])
-    keypoints, weights = _drawn(5, 1, 9, 2, seed=2), torch.ones(5, 1, 9).double()
+    keypoints, weights = _drawn(5, 1, 9, 2, seed=2), torch.ones(5, 1, 9)
     upstream = _drawn(5, 9, 3, seed=3), _drawn(5, 1, 9, 2, seed=4)
 
     def run(how: Reprojection) -> list[Tensor]:
@@ -72,17 +73,17 @@ def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() 
 
     found = run(reproject)
     for ours, theirs in zip(found, run(reproject_tensors), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-7)
+        torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=1e-4)
     assert (found[3][:4] == 0).all()
     assert (found[3][4] != 0).all()
 
 
 def test_keypoints_in_a_line_are_those_of_the_tensor_operations() -> None:
     """The rows of the affine solution are parallel then, if the guess is."""
-    keypoints = _drawn(2, 1, 9, 1, seed=2) * torch.tensor([1.0, -2.0]).double()
-    matrices = torch.zeros(2, 1, 2, 3).double()
+    keypoints = _drawn(2, 1, 9, 1, seed=2) * torch.tensor([1.0, -2.0])
+    matrices = torch.zeros(2, 1, 2, 3)
     matrices[..., 0, 0], matrices[..., 1, 0] = 1, -2
-    points, weights = _drawn(2, 9, 3, seed=0), torch.ones(2, 1, 9).double()
+    points, weights = _drawn(2, 9, 3, seed=0), torch.ones(2, 1, 9)
 
     def run(how: Reprojection) -> list[Tensor]:
         given = points.clone().requires_grad_(), matrices
@@ -90,22 +91,25 @@ def test_keypoints_in_a_line_are_those_of_the_tensor_operations() -> None:
         return [*answers, *torch.autograd.grad(answers[1].square().sum(), given[:1])]
 
     for ours, theirs in zip(run(reproject), run(reproject_tensors), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=1e-7, rtol=1e-5)
+        torch.testing.assert_close(ours, theirs, atol=2e-4, rtol=1e-4)
 
 
 def test_filling_is_that_of_the_tensor_operations_and_differentiable() -> None:
     projected, keypoints = _drawn(2, 3, 7, 2, seed=0).requires_grad_(), _drawn(2, 3, 7, 2, seed=1)
     weights = _weights(2, 3, 7)
-    filled = fill(projected, keypoints, weights)
-    torch.testing.assert_close(
-        filled, fill_tensors(projected, keypoints, weights), atol=1e-9, rtol=0
+    filled, expected = (how(projected, keypoints, weights) for how in (fill, fill_tensors))
+    torch.testing.assert_close(filled, expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(filled.mean(-2), torch.zeros(2, 3, 2), atol=1e-5, rtol=0)
+    upstream = _drawn(2, 3, 7, 2, seed=3)
+    gradient, right = (
+        torch.autograd.grad(how, projected, upstream)[0] for how in (filled, expected)
     )
-    torch.testing.assert_close(filled.mean(-2), torch.zeros(2, 3, 2).double(), atol=1e-9, rtol=0)
-    assert torch.autograd.gradcheck(fill, (projected, keypoints, weights))
+    torch.testing.assert_close(gradient, right, atol=1e-4, rtol=1e-4)
+    assert gradient.abs().max() > 0.1
 
 
 def _batch(frames: int, views: int, keypoints: int) -> Batch:
-    taught = torch.tensor([1, 0, 1, 1, 0], dtype=torch.float64)[:frames]
+    taught = torch.tensor([1, 0, 1, 1, 0], dtype=torch.float32)[:frames]
     return Batch(
         keypoints=_drawn(frames, views, keypoints, 2, seed=5),
         weights=_weights(frames, views, keypoints),
@@ -138,15 +142,12 @@ def test_the_objective_is_as_documented_and_its_gradient_is_right() -> None:
     assert figures.tolist() == pytest.approx([norms.mean().item(), pixels.item()])
     plain, plain_figures = plain_objective(points, projected, batch)
     torch.testing.assert_close(plain, total)
-    torch.testing.assert_close(plain_figures, figures)
+    torch.testing.assert_close(plain_figures, figures, check_dtype=False)
     given = points, projected
     for found, expected in zip(
         torch.autograd.grad(total, given), torch.autograd.grad(plain, given), strict=True
     ):
         torch.testing.assert_close(found, expected)
-    assert torch.autograd.gradcheck(
-        lambda points, projected: objective(points, projected, batch)[0], given
-    )
 
 
 def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
@@ -154,9 +155,7 @@ def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
     rotations = nearest_rotations(_drawn(4, 2, 3, seed=1))
     projected = batch.keypoints
     rotated, _ = objective(batch.teachers @ rotations, projected, batch)
-    mirrored, _ = objective(
-        batch.teachers * torch.tensor([1.0, 1.0, -1.0]).double(), projected, batch
-    )
+    mirrored, _ = objective(batch.teachers * torch.tensor([1.0, 1.0, -1.0]), projected, batch)
     assert rotated < 1e-3
     assert mirrored > 0.1
 
@@ -164,7 +163,7 @@ def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
 def test_a_network_reads_every_frame_as_if_it_were_alone() -> None:
     network = HierarchicalPrior(9, (16, 8))
     network.initialise(0)
-    keypoints, weights = _drawn(5, 3, 9, 2, seed=1).float(), _weights(5, 3, 9).float()
+    keypoints, weights = _drawn(5, 3, 9, 2, seed=1), _weights(5, 3, 9)
     weights[2] = 1
     keypoints = normalise(keypoints) * (weights > 0)[..., None]
     points, projected, matrices = network.reproject(keypoints, weights)
@@ -176,7 +175,7 @@ def test_a_network_reads_every_frame_as_if_it_were_alone() -> None:
 
 def test_virtual_cameras_look_as_those_of_the_capture_do() -> None:
     """They stand upright, at any azimuth, and see the teacher in perspective."""
-    points = normalise(_drawn(1, 40, 3, seed=0)).float()
+    points = normalise(_drawn(1, 40, 3, seed=0))
     level = torch.tensor([[[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]])  # y down, z up in the structure
     teachers = distillation.as_teachers(
         points, level[None].expand(1, 2, 3, 3), torch.ones(1, 2), torch.tensor([0]), 1, 0.1, 0.0
@@ -196,7 +195,7 @@ def test_virtual_cameras_look_as_those_of_the_capture_do() -> None:
 
 
 def test_dropping_views_keeps_one_and_leaves_half_of_the_frames() -> None:
-    weights = _weights(5, 3, 7).float().repeat(80, 1, 1)
+    weights = _weights(5, 3, 7).repeat(80, 1, 1)
     kept = drop_views(weights, np.random.default_rng(1))
     there, still = weights.sum(-1) > 0, kept.sum(-1) > 0
     assert still.any(1).all()

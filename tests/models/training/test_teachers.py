@@ -42,7 +42,7 @@ def _teachers(keypoints: Tensor, weights: Tensor, *, most: int = 50) -> Teachers
 
 
 @pytest.mark.parametrize(
-    ("refine", "frames", "steps"), thorough_after(1, [("off", 400, 600), ("auto", 150, 300)])
+    ("refine", "frames", "steps"), thorough_after(1, [("off", 200, 300), ("auto", 150, 300)])
 )
 def test_frames_with_one_view_learn_from_frames_with_several(
     refine: Refine, frames: int, steps: int

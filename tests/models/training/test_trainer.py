@@ -24,14 +24,14 @@ QUICK = FitConfig(steps=30, dictionary_sizes=(16, 8), batch_size=8)
 
 @pytest.fixture(scope="module")
 def capture() -> SyntheticCapture:
-    return synthetic_capture(frames=200, views=4, noise=1, hidden_keypoints=0.03, seed=8)
+    return synthetic_capture(frames=120, views=4, noise=1, hidden_keypoints=0.03, seed=8)
 
 
 @pytest.fixture(scope="module")
 def prior(capture: SyntheticCapture) -> FittedPrior:
     """Fit every second frame; the others are lifted unseen."""
     keypoints, confidence = capture.keypoints[::2], capture.confidence[::2]
-    config = FitConfig(steps=300, cameras="moving", dictionary_sizes=(64, 16))
+    config = FitConfig(steps=150, cameras="moving", dictionary_sizes=(64, 16))
     return fitted_once("refined", lambda: fit(keypoints, config, confidence=confidence))
 
 

@@ -212,7 +212,7 @@ supervisor.serve(Settings(port=0, data_dir=sys.argv[1]))
 
 
 def test_not_even_what_a_part_forgets_outlives_the_service(tmp_path: Path) -> None:
-    process = Popen(tied("-c", CARELESS, str(tmp_path)), stdout=subprocess.PIPE, text=True)
+    process = Popen(tied("-c", CARELESS, str(tmp_path), "serve"), stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
         orphan = int(process.stdout.readline())
