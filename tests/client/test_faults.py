@@ -4,18 +4,20 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
+from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx2
 import pytest
-from fewview import AsyncClient, Client, ConnectionFailed, TooManyRequests, Unavailable
+from fewview import ApiError, AsyncClient, Client, ConnectionFailed, TooManyRequests, Unavailable
 from fewview.api.forms import Fit
 from fewview.api.retries import patiently
 from fewview.api.steps import Request, Send, Sleep, nothing
 
 from tests.client.conftest import Served, a_capture
 from tests.client.faulty import Line
+from tests.client.hearing import hearing_streams
 from tests.processes import free_port
 from tests.service.conftest import CONFIG
 
@@ -156,3 +158,29 @@ def test_a_fit_is_followed_through_breaks_and_without_events(served: Served, lin
             assert any(b"Last-Event-ID" in asked for asked in line.asked)
         else:
             assert sum(b"/events" in asked for asked in line.asked) == 3
+
+
+@pytest.mark.parametrize(
+    ("status", "patient"),
+    [
+        (HTTPStatus.TOO_MANY_REQUESTS, True),
+        (HTTPStatus.SERVICE_UNAVAILABLE, True),
+        (HTTPStatus.NOT_FOUND, False),
+    ],
+)
+def test_a_stream_is_opened_when_the_service_is_no_longer_busy(
+    status: HTTPStatus, *, patient: bool
+) -> None:
+    with hearing_streams(lambda: (status, {}, "{}")) as (port, keys):
+        url = f"http://127.0.0.1:{port}"
+        with Client(url, "key", patience=0.9) as client, pytest.raises(ApiError):
+            client.stream("mdl_any").__enter__()
+        tries = len(keys)
+
+        async def stream() -> None:
+            async with AsyncClient(url, "key", patience=0.9) as client:
+                await client.stream("mdl_any").__aenter__()
+
+        with pytest.raises(ApiError):
+            asyncio.run(stream())
+    assert (tries > 1) is (len(keys) - tries > 1) is patient

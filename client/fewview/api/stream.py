@@ -29,8 +29,17 @@ from fewview.api.stream_messages import (
     read_ready,
     write_frame,
 )
-from fewview.errors import ConnectionFailed, FewviewError, Unavailable, api_error
+from fewview.errors import (
+    ConnectionFailed,
+    FewviewError,
+    TooManyRequests,
+    Unavailable,
+    api_error,
+)
 from fewview.keys import Key, is_loopback
+
+AWAY_OR_BUSY = (ConnectionFailed, TooManyRequests, Unavailable)  # for which opening is patient
+LONGEST_PAUSE = 1.0  # seconds: frames come meanwhile, which nobody sees
 
 
 def _conceal(record: logging.LogRecord) -> bool:
@@ -110,7 +119,7 @@ class Line:
         """Give the seconds to wait before each further try to open, until patience is at an end."""
         begun = time.monotonic()
         for attempt in count(1):
-            pause = pause_before(attempt)
+            pause = min(pause_before(attempt), LONGEST_PAUSE)
             if time.monotonic() + pause > begun + self.patience:
                 return
             yield pause
@@ -135,7 +144,7 @@ class Stream:
                     connection = connect(self._line.url, **self._line.options())
                     self._socket: ClientConnection = self._stack.enter_context(connection)
                 break
-            except (ConnectionFailed, Unavailable):
+            except AWAY_OR_BUSY:
                 if (pause := next(pauses, None)) is None:
                     raise
                 time.sleep(pause)
@@ -238,7 +247,7 @@ class AsyncStream:
                         connection
                     )
                 break
-            except (ConnectionFailed, Unavailable):
+            except AWAY_OR_BUSY:
                 if (pause := next(pauses, None)) is None:
                     raise
                 await asyncio.sleep(pause)
