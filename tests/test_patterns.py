@@ -22,6 +22,7 @@ import pytest
 
 from tests.fork_server import run
 from tests.test_floors import modules
+from tests.tiers import thorough_after
 from worker.process import python
 
 LENGTH = 100_000  # characters
@@ -68,7 +69,9 @@ def test_every_pattern_takes_linear_time() -> None:
     assert len(done.stdout.splitlines()) > 40
 
 
-@pytest.mark.parametrize("slow", [r"(?:/[^ ]+)*(?=x)", r"\s+$", r"(\d+)(?=\D*$)", r"(a|aa)+$"])
+@pytest.mark.parametrize(
+    "slow", thorough_after(2, [r"(?:/[^ ]+)*(?=x)", r"\s+$", r"(\d+)(?=\D*$)", r"(a|aa)+$"])
+)
 def test_slow_ones_are_noticed(slow: str) -> None:
     code = (
         f"import sys; sys.path[:] = {sys.path!r}; from tests.test_patterns import *;"

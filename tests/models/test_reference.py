@@ -23,6 +23,7 @@ from models.posterior.frames import Frames, LearntShapes, covariances_of
 from tests.models import reference
 from tests.models.epipolar.exact_rigs import FOCALS, exact_points, exact_rig, images_of
 from tests.models.reference import Dictionaries, Frame
+from tests.tiers import thorough_after
 
 Float64 = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ def degrees(first: Float64, second: Float64) -> float:
     return float(np.degrees(Rotation.from_matrix(first @ second.mT).magnitude()).max())
 
 
-@pytest.mark.parametrize("noise", [0.0, 5e-4])
+@pytest.mark.parametrize("noise", thorough_after(1, [5e-4, 0.0]))
 def test_static_cameras_are_those_of_plain_bundle_adjustment(noise: float) -> None:
     truth, count = exact_rig(3), 60
     seen = images_of(truth, exact_points(count), noise)

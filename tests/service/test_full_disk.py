@@ -24,9 +24,15 @@ from tests.service.conftest import (
     to_npz,
 )
 from tests.service.owner import OwnersClient
+from tests.service.process.test_api_processes import api_processes
+from tests.service.resources.test_metrics import metrics, value
 
 MEGABYTES = 24  # of the disk
-MOUNT = f'mount -t tmpfs -o size={MEGABYTES}m tmpfs "$0" && exec "$@"'
+# The folder for temporary files has a disk of its own, which is full at once.
+MOUNT = f"""
+mount -t tmpfs -o size={MEGABYTES}m tmpfs "$0" && mount -t tmpfs -o size=64k tmpfs "$1" &&
+TMPDIR="$1" && export TMPDIR && shift && exec "$@"
+"""
 
 
 def post(http: Any, frames: int, key: str) -> httpx2.Response:
@@ -39,17 +45,29 @@ def post(http: Any, frames: int, key: str) -> httpx2.Response:
     return answer
 
 
-@pytest.fixture
-def small(tmp_path: Path) -> Iterator[Live]:
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """Run a service whose data folder is a small disk of its own, which ends with it."""
+    folder, temporary = (tmp_path_factory.mktemp(name) for name in ("small", "temporary"))
 
     def start(command: list[str], **more: Any) -> "subprocess.Popen[str]":
-        apart = ["unshare", "--map-root-user", "--mount", "sh", "-c", MOUNT, str(tmp_path)]
-        return subprocess.Popen([*apart, *command], **more)
+        apart = ["unshare", "--map-root-user", "--mount", "sh", "-c", MOUNT]
+        return subprocess.Popen([*apart, str(folder), str(temporary), *command], **more)
 
-    live = start_service(tmp_path, "--workers=0", popen=cast("type[subprocess.Popen[str]]", start))
+    popen = cast("type[subprocess.Popen[str]]", start)
+    live = start_service(folder, "--workers=0", "--api-processes=1", popen=popen)
     yield live
     kill_service(live)
+
+
+def test_a_full_temporary_folder_ends_no_process(small: Live) -> None:
+    """A process that wrote to a page of a file that the disk has no space for would be killed."""
+    before = api_processes(small)
+    for number in range(3):
+        small.http.get(f"/fits/fit_{number}")
+    of = {"method": "GET", "route": "/fits/{fit_id}", "status": "404"}
+    assert value(metrics(small.http), "fewview_http_requests_total", **of) == 3
+    assert api_processes(small) == before
 
 
 def test_a_full_disk_is_reported_and_nothing_half_written_stays(small: Live) -> None:

@@ -34,7 +34,7 @@ def found_in(capture: RigCapture, config: FitConfig | None = None) -> SelfCalibr
     return None if settled is None else settled[0]
 
 
-@pytest.mark.parametrize("number", thorough_after(2, DRAWS))
+@pytest.mark.parametrize("number", thorough_after(1, DRAWS))
 def test_drawn_rigs_are_as_good_as_the_true_ones(number: int) -> None:
     draw = draw_capture(number)
     assert draw is not None

@@ -32,7 +32,7 @@ from worker.process import python
 CHAOS_SECONDS = 8.0
 FEWEST_KILLED = 6
 LONG = {"steps": 1_000_000, "refine": "off"}
-SLOW = {"steps": 300, "refine": "off"}
+SLOW = {"steps": 160, "refine": "off"}
 Start = Callable[..., Live]
 
 
@@ -92,7 +92,7 @@ def test_a_part_is_killed_in_the_middle_of_a_fit(start: Start, victim: str) -> N
     dataset_id = upload(live)
     fit = live.fit(dataset_id, **SLOW)
     waiting = live.fit(dataset_id, steps=5, refine="off")
-    wait_for_step(live, fit["id"], 60)
+    wait_for_step(live, fit["id"], 30)
     pid = part(live, victim)
     os.kill(pid, signal.SIGKILL)
     for made in (fit, waiting):
@@ -146,7 +146,7 @@ def test_the_api_is_killed_in_the_middle_of_an_upload(start: Start) -> None:
 def test_everything_is_killed_and_started_again(start: Start) -> None:
     live = start()
     fit = live.fit(upload(live), **SLOW)
-    wait_for_step(live, fit["id"], 60)
+    wait_for_step(live, fit["id"], 30)
     family = descendants(live.process.pid)
     assert len(family) >= 4  # Valkey, worker, work-horse, API
     live.process.kill()
@@ -161,7 +161,7 @@ def test_everything_is_killed_and_started_again(start: Start) -> None:
 def test_sigterm_saves_the_running_fit_for_the_next_start(start: Start) -> None:
     live = start()
     fit = live.fit(upload(live), **SLOW)
-    wait_for_step(live, fit["id"], 60)
+    wait_for_step(live, fit["id"], 30)
     family = descendants(live.process.pid)
     live.process.send_signal(signal.SIGINT)
     assert live.process.wait(20) == 0

@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -234,30 +233,6 @@ def test_what_is_away_is_left_out(settings: Settings, tmp_path: Path) -> None:
         assert not any(name == "fewview_jobs" for name, _ in found)
         of = {"method": "GET", "route": "/metrics", "status": "200"}
         assert value(found, "fewview_http_requests_total", **of) >= 1
-
-
-def test_a_full_temporary_folder_ends_no_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process that wrote to a page of a file that the disk has no space for would be killed."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    monkeypatch.setenv("TMPDIR", str(disk))
-    mount = 'mount -t tmpfs -o size=64k tmpfs "$0" && exec "$@"'
-
-    def start(command: list[str], **more: Any) -> "subprocess.Popen[str]":
-        apart = ["unshare", "--map-root-user", "--mount", "sh", "-c", mount, str(disk)]
-        return subprocess.Popen([*apart, *command], **more)
-
-    popen: Any = start
-    live = start_service(tmp_path / "data", "--workers=0", "--api-processes=1", popen=popen)
-    before = api_processes(live)
-    for number in range(3):
-        live.http.get(f"/fits/fit_{number}")
-    of = {"method": "GET", "route": "/fits/{fit_id}", "status": "404"}
-    assert value(metrics(live.http), "fewview_http_requests_total", **of) == 3
-    assert api_processes(live) == before
-    kill_service(live)
 
 
 def test_no_folder_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
