@@ -128,7 +128,7 @@ def _jobs(arguments: argparse.Namespace) -> Iterator[Job]:
 
 def measure(job: Job) -> list[Row] | None:
     """Fit and lift a capture with everything, and without one mechanism at a time."""
-    taken = _taken(job)
+    taken = taken_of(job)
     if taken is None:
         return None
     rows = []
@@ -149,8 +149,8 @@ def _without_each(
 ) -> list[Row]:
     whole = config.steps != FEW_STEPS
     with observed(mechanisms) as acting:
-        prior, seconds = _fitted(taken, config)
-        full, lift_seconds = _errors(prior, taken, alone=whole)
+        prior, seconds = fitted(taken, config)
+        full, lift_seconds = errors_of(prior, taken, alone=whole)
     stage = NETWORK if whole else GEOMETRY
     here = (job.source, job.name, taken.cell)
     rows = [Row(*here, stage, EVERYTHING, True, *full, seconds)]
@@ -164,15 +164,16 @@ def _without_each(
         changed = config.model_copy(update=dict(mechanism.settings))
         with mechanism.off():
             if mechanism.stage == LIFT:
-                errors, took = _errors(FittedPrior.from_bytes(saved), taken, alone=whole)
+                errors, took = errors_of(FittedPrior.from_bytes(saved), taken, alone=whole)
             else:
-                other, took = _fitted(taken, changed)
-                errors, _ = _errors(other, taken, alone=whole)
+                other, took = fitted(taken, changed)
+                errors, _ = errors_of(other, taken, alone=whole)
         rows.append(Row(*here, mechanism.stage, mechanism.name, True, *errors, took))
     return rows
 
 
-def _fitted(taken: Taken, config: FitConfig) -> tuple[FittedPrior, float]:
+def fitted(taken: Taken, config: FitConfig) -> tuple[FittedPrior, float]:
+    """Return the prior of a fit, or of its first answer with `FEW_STEPS`, and its seconds."""
     started = time.process_time()
     trainer = Trainer(
         taken.keypoints,
@@ -190,7 +191,7 @@ def _fitted(taken: Taken, config: FitConfig) -> tuple[FittedPrior, float]:
     return prior or trainer.result(), time.process_time() - started
 
 
-def _errors(
+def errors_of(
     prior: FittedPrior, taken: Taken, *, alone: bool
 ) -> tuple[tuple[float, float, float], float]:
     """Return the errors of lifts, as in `Row`, and the seconds of the first."""
@@ -221,7 +222,8 @@ def _error(points: Float64, taken: Taken, asked: NDArray[np.bool_]) -> float:
     return float(errors.mean() / (HEIGHT * radius(taken.points3d)))
 
 
-def _taken(job: Job) -> Taken | None:
+def taken_of(job: Job) -> Taken | None:
+    """Return the capture of a job; None where there is none of that number or name."""
     if job.source == REAL:
         return _real(job)
     half = job.source.split()[0]
