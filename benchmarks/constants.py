@@ -12,14 +12,18 @@ that reads it, though beside others: two that make up for each other are missed.
 What runs before the first answer of a fit is judged by that answer, the rest by whole fits. Errors
 are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are bound
 once (defaults of arguments, of classes), cannot be changed while a program runs and are not asked.
+Each question is a child process: what a wrong size breaks, or makes endless, counts as a failure.
+A run that was interrupted goes on where its file ends.
 """
 
 import argparse
 import json
 import math
+import resource
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,24 +37,27 @@ from benchmarks.ablation import (
     fitted,
     taken_of,
 )
-from benchmarks.draws import FAILURES, in_pool
+from benchmarks.draws import FAILURES
 from benchmarks.figures import print_table
 from benchmarks.found_constants import DOUBLE, HALF, Constant, constants, read_constants, set_to
+from models.numerics.threads import use_threads
 from models.settings.config import FitConfig
 
-# Fast ones first: a constant that moves them is not asked again.
+# One of each kind, then all others, fast ones first: what moves one is not asked again.
 DRAWS = (
-    *(("setting", number) for number in (2, 11, 7, 13, 1, 8)),
-    *(("looking", number) for number in (2, 3)),
-    *(("setting", number) for number in (6, 9)),
-    *(("setting moving", number) for number in (0, 1)),
-    *(("looking moving", number) for number in (0, 1)),
+    *(("setting", number) for number in (2, 6)),
+    ("setting moving", 0),
+    *(("looking", number) for number in (3, 2)),
+    ("looking moving", 0),
+    *(("setting", number) for number in (11, 7, 13, 1, 8, 9)),
+    *(("setting moving", 1), ("looking moving", 1)),
     *(("setting", number) for number in (4, 5, 10, 12)),
     *(("looking", number) for number in (0, 1)),
 )
-WHOLE = (("setting", 2), ("looking", 3), ("looking moving", 0))
+WHOLE = (("setting", 2), ("looking", 3))
 TOGETHER = 8  # constants of a module that change at a time, at first
-FAILS = 10.0  # stands for the gain where a fit fails
+FAILS = 10.0  # stands for the log ratio where a fit fails
+PATIENCE_SECONDS = 60  # of processor time, ten times what most draws take
 
 Errors = tuple[float, float, float]
 
@@ -72,54 +79,57 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Halve and double constants.")
     parser.add_argument("--data", type=Path, help="folder of captures, with motions/")
     parser.add_argument("--draws", type=int, default=len(DRAWS), help="so many of them")
-    parser.add_argument("--processes", type=int, default=2, help="one for each factor")
+    parser.add_argument("--factors", type=float, nargs="+", default=(HALF, DOUBLE))
     parser.add_argument("--json", type=Path, help="write what was asked; one file a factor")
     parser.add_argument("--show", type=Path, nargs="+", help="show results that were written")
     arguments = parser.parse_args()
+    use_threads(1)
     if arguments.show:
-        rows = [_row(line) for path in arguments.show for line in path.read_text().splitlines()]
+        rows = [row for path in arguments.show for row in _rows(path)]
     else:
-        asking = partial(_ask, arguments)
-        found = in_pool(asking, (HALF, DOUBLE), arguments.processes)
-        rows = [row for part in found for row in part]
+        rows = [row for factor in arguments.factors for row in _ask(arguments, factor)]
     print_table("Constants by folder", list(by_folder(rows)))
     print("Read, and move nothing:", *moving_nothing(rows), sep="\n  ")
 
 
-def _row(line: str) -> Row:
-    source, number, whole, factor, names, moved, alone = json.loads(line)
-    return Row(source, number, whole, factor, tuple(names), moved, alone)
+def _rows(path: Path | None) -> list[Row]:
+    """Return the rows of a file, if there is one."""
+    if path is None or not path.exists():
+        return []
+    rows = (Row(*json.loads(line)) for line in path.read_text().splitlines())
+    return [row._replace(names=tuple(row.names)) for row in rows]
 
 
 def _ask(arguments: argparse.Namespace, factor: float) -> list[Row]:
     """Change constants by a factor, in one capture after another."""
     among = [one for one in constants() if not one.asked and one.changed(factor) is not None]
+    known = {row[:5]: row for row in _rows(arguments.json) if row.factor == factor}
     rows: list[Row] = []
     kinds = [(*draw, False) for draw in DRAWS[: arguments.draws]]
     kinds += [(*draw, True) for draw in WHOLE if draw in DRAWS[: arguments.draws]]
-    for source, number, whole in kinds:
+    for kind in kinds:
+        source, number, _ = kind
         taken = taken_of(Job(source, str(number), arguments.data, (), ()))
         if taken is None:
             continue
         moved = {row.names[0] for row in rows if row.alone and row.moved > WORTH}
         left = [one for one in among if _name(one) not in moved]
-        for row in _in_capture(source, number, taken, left, factor, whole=whole):
+        for row in _in_capture(kind, taken, left, factor, known):
             rows.append(row)
-            if arguments.json:
-                with arguments.json.with_suffix(f".{factor}.jsonl").open("a") as file:
+            if arguments.json and row[:5] not in known:
+                with arguments.json.open("a") as file:
                     file.write(json.dumps(row) + "\n")
     return rows
 
 
 def _in_capture(
-    source: str,
-    number: int,
+    kind: tuple[str, int, bool],
     taken: Taken,
     among: Sequence[Constant],
     factor: float,
-    *,
-    whole: bool,
+    known: Mapping[tuple[object, ...], Row],
 ) -> Iterator[Row]:
+    whole = kind[2]
     with read_constants(among) as read:
         before = _errors(taken, whole=False)
     if whole:
@@ -130,19 +140,18 @@ def _in_capture(
     for one in among:
         if (one.module, one.name) in read:
             groups[one.module].append(one)
-    here = partial(Row, source, number, whole, factor)
 
     def asked(group: Sequence[Constant]) -> Iterator[Row]:
-        with set_to([(one, one.changed(factor)) for one in group]):
-            try:
-                moved = _moved(before, _errors(taken, whole=whole))
-            except FAILURES:
-                moved = FAILS
-        names = tuple(map(_name, group))
-        if moved <= WORTH or len(group) == 1:
-            yield here(names, moved, True)
+        here = (*kind, factor, tuple(map(_name, group)))
+        if here in known:
+            moved = known[here].moved
         else:
-            yield here(names, moved, False)
+            with set_to([(one, one.changed(factor)) for one in group]):
+                moved = _in_child(lambda: _moved(before, _errors(taken, whole=whole)))
+        if moved <= WORTH or len(group) == 1:
+            yield Row(*here, moved, True)
+        else:
+            yield Row(*here, moved, False)
             middle = len(group) // 2
             yield from asked(group[:middle])
             yield from asked(group[middle:])
@@ -150,6 +159,27 @@ def _in_capture(
     for group in groups.values():
         for start in range(0, len(group), TOGETHER):
             yield from asked(group[start : start + TOGETHER])
+
+
+def _in_child(measure: Callable[[], float]) -> float:
+    """Return what a function measures in a fork, or `FAILS` if it fails or takes too long."""
+    context = get_context("fork")
+    ours, theirs = context.Pipe(duplex=False)
+
+    def send() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE_SECONDS, PATIENCE_SECONDS))
+        with suppress(*FAILURES):
+            theirs.send(measure())
+
+    child = context.Process(target=send, daemon=True)
+    child.start()
+    theirs.close()
+    try:
+        return float(ours.recv())
+    except EOFError:
+        return FAILS
+    finally:
+        child.join()
 
 
 def _name(constant: Constant) -> str:

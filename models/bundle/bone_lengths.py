@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.numerics.medians import lower_median
+from models.numerics.medians import NORMAL, lower_median
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -18,8 +19,6 @@ OUTLIER = 2.0  # scatters beyond which a length has less and less weight
 LEAST_FRAMES = 5  # in which a bone is measured
 UNKNOWN = 1e3  # scatter of a distance that is measured in fewer
 ROUNDS = 10  # of estimating the frames' sizes from the bones and choosing these again
-NORMAL = 1.4826  # standard deviations in a median absolute deviation
-TINY = 1e-12
 
 
 class BoneLengths(NamedTuple):

@@ -11,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import LENS, POSE, VIEW, Rig, Scene, ShapePrior, Views
+from models.bundle.problem import LENS, POSE, SIMILARITY, VIEW, Rig, Scene, ShapePrior, Views
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import cholesky_solve, copy, fill, inverse
+from models.numerics.tiny import TINY
 from models.optics.lenses.projection import differentiate_into
 
 Float64 = NDArray[np.float64]
 
 OUTLIER = 3.0  # noise standard deviations from which a keypoint's gradient is constant (Huber)
-SIMILARITY = 7  # numbers of a structure that belong to cameras, not to its shape
-TINY = 1e-12  # least squared residual, and least number on a diagonal
 SIZE = 6  # place of the log size or stretch in a pose
 
 

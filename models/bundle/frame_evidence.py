@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from models.bundle.frame_equations import NormalEquations
 from models.bundle.problem import POSE, Rig, Scene, ShapePrior, Views, points_in_cameras
 from models.bundle.separate_frames import adjust_frames, normal_equations
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 
 FREEDOM = 8.0  # of the multivariate t, with which a frame unlike all others counts little; a guess
 ITERATIONS = 15
-TINY = 1e-12
 
 
 def log_evidence(views: Views, rig: Rig, prior: ShapePrior, scene: Scene) -> Float64:

@@ -19,12 +19,12 @@ from models.capture.triangulation import triangulate
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import fill, inverse_symmetric
 from models.numerics.threads import empty_aligned, in_slices
+from models.numerics.tiny import TINY
 from models.optics.lenses.projection import differentiate_into
 
 Float64 = NDArray[np.float64]
 
 NEAREST = 1e-3  # units in front of a camera
-TINY = 1e-12
 FRAMES_AT_A_TIME = 64
 
 

@@ -26,6 +26,7 @@ Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Tuple = TypeVar("Tuple", bound=NamedTuple)
 
+SIMILARITY = 7  # directions in which shifts, rotations and scale move a structure
 POSE = 7  # unknowns of a group in a frame: rotation vector, translation, log size
 LENS = 5  # of a lens: log focal length, principal point (x, y), first two radial coefficients
 EXTRINSICS = 6  # of a camera in its group: rotation vector, translation

@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bundle.problem import SIMILARITY
 from models.numerics.medians import lower_median
 from models.numerics.rotations import nearest_rotations
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 
@@ -15,8 +17,6 @@ MOST_COMPONENTS = 40  # of a shape model; the remaining variance is isotropic
 LEAST_ERROR = 1e-3  # smallest root-mean-square error of a network, in radii of the structure
 LEAST_SHARE = 0.05  # of it, in each coordinate that is not along a component
 ALIGNMENTS = 5  # rounds of aligning to the mean and computing it again
-SIMILARITY = 7  # directions in which shifts, scale and rotations move a structure
-TINY = 1e-12
 
 
 class ShapeModel(NamedTuple):

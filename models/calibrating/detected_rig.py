@@ -22,6 +22,7 @@ from models.bundle.instrumental_equations import (
 from models.bundle.problem import VIEW, Rig
 from models.numerics.random_effects import random_effects
 from models.numerics.steps import Steps
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -36,7 +37,6 @@ GAUGE = 1e6  # inverse variance of the overall size, which is undetermined
 LEAST_SCATTER = 0.02  # keypoints do not sit on bones, so no length is held tighter
 LEAST_FRAMES = 40  # that show an edge
 UNKNOWN = 1e12  # variance of a length that was not measured
-TINY = 1e-12
 
 
 def adjust_to_detected(

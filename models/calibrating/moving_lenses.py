@@ -21,6 +21,7 @@ from models.calibrating.lens_prior import BIAS, FOCAL_SDS, TOO_SURE
 from models.calibrating.problem import CalibrationProblem, Solution
 from models.numerics.sampling import evenly_spread
 from models.numerics.steps import Steps
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -40,7 +41,6 @@ UNLIKE = 10.0  # least difference of log posteriors in favour of unlike lenses
 SURE = 3.0  # and its least size in standard deviations over frames
 CLIMBS = (0.25, 0.25, 0.1)  # steps of a log focal length, one round each
 PEAKS = 4  # steps from there to the top, at most
-TINY = 1e-12
 
 
 class MovingLenses(NamedTuple):

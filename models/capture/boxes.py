@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.medians import NORMAL
+
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
@@ -21,7 +23,6 @@ LIKE_SIZE = 0.13  # largest scatter of the log width, and of the log height
 LIKE_PLACE = 0.075  # and of the middle, in widths and heights
 MOST_HIDDEN = 0.2  # share of the keypoints: with more, extents are too small
 FEWEST = 20  # frames
-TO_SD = 1.4826  # standard deviations of a Gaussian in its median absolute deviation
 
 
 class Boxes(NamedTuple):
@@ -59,4 +60,4 @@ def boxes_of(keypoints: Float64, weights: Float64) -> Boxes:
 def _scatter(values: Float64) -> Float64:
     """Return robust standard deviations (2,) of values (n, 2)."""
     away = np.abs(values - np.median(values, 0))
-    return TO_SD * np.median(away, 0)
+    return NORMAL * np.median(away, 0)

@@ -7,7 +7,6 @@ signal from noise, and a mixture of Gaussians models the signal. Moving cameras 
 dimension. The smaller components show this, and nothing is done then.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -30,6 +29,7 @@ from models.capture.score_mixture import (
     standard_normal,
 )
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
+from models.numerics.medians import MEDIAN_OF_SQUARES
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 from models.settings.keypoints import MAX_COORDINATE
@@ -58,7 +58,6 @@ TAIL_START, TAIL_END, MOST_STEEPNESS = 0.55, 0.95, 1.2
 UNLIKE = 2.0  # standard errors by which a frame must lie further off than noise explains
 LEAST_SHARE = 0.1  # of curves in what is expected: with less, they are not worth their time
 LEAST_NOISE = 0.02  # of a view's size: with less noise than that, geometry does better alone
-MEDIAN_SQUARE = 2 * math.log(2)  # of the error of a keypoint, both coordinates of variance 1
 
 
 class Denoiser(NamedTuple):
@@ -238,7 +237,7 @@ def learn_denoiser(observations: Observations) -> Denoiser | None:
     if not found.alike and np.ptp(weights) > 0:
         # Confidences let geometry take little notice of the worst keypoints, and the more views
         # it has, the less. Noise is removed without regard to them.
-        level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_SQUARE * 3 / (2 * views))
+        level = np.median(noise) * np.sqrt(np.median(errors) / MEDIAN_OF_SQUARES * 3 / (2 * views))
     if level < LEAST_NOISE * size or not found.basis.size:
         return None
     white = float(np.sqrt(found.variance))

@@ -17,7 +17,9 @@ from models.capture.observations import Observations, as_observations, pixels_of
 from models.capture.tracks import number_clips
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
 from models.numerics.kalman import smooth, summed_products
+from models.numerics.medians import NORMAL
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
@@ -44,8 +46,6 @@ MOSTLY = 0.95  # of the frames it must follow, or there are jumps and cuts that 
 REACH, MOST_SQUARES = 5, 2.5
 FILLING_ROUNDS, FILLED = 30, 0.02  # of filling what was not observed; no change, in noise
 FIRST_RATES = np.logspace(-6, 3, 28)  # that are tried to begin with, in variances of the noise
-MEDIAN_OF_SQUARES = 0.455  # of numbers with variance 1
-TINY = 1e-12
 FRAMES_AT_A_TIME, MARGIN = 2000, 200  # smoothed together, and beside these
 
 
@@ -228,7 +228,7 @@ def _first_guess(given: Float64, steps: Float64, there: Bool) -> tuple[Float64, 
     """Guess covariance and noise (D,): principal components move independently of each other."""
     follows = (steps[2:] > 0) & (steps[1:-1] > 0)
     bends = np.diff(given, 2, axis=0)[follows]
-    noise = float(np.sqrt(max(np.median(np.square(bends)) / MEDIAN_OF_SQUARES / 6, TINY)))
+    noise = float(np.sqrt(max(NORMAL**2 * np.median(np.square(bends)) / 6, TINY)))
     offsets = given - given.mean(0)
     _, basis = np.linalg.eigh(offsets.T @ offsets)
     scores = np.ascontiguousarray((offsets @ basis).T) / noise

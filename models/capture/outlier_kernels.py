@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from models.numerics.compiled import compiled, inner, reordered
 from models.numerics.matrices import copy, fill, total
-from models.numerics.medians import median_of
+from models.numerics.medians import MEDIAN_OF_SQUARES, median_of
 from models.settings.keypoints import OUTLIER
 
 Float64 = NDArray[np.float64]
@@ -16,7 +16,6 @@ Bool = NDArray[np.bool_]
 
 FAR = 6.0  # times the median distance from the median keypoint: outlier until more is known
 MOST_LEVERAGE = 0.9  # largest leverage of an observation on its own prediction that is used
-MEDIAN_OF_SQUARES = 2 * math.log(2)  # of two coordinates with variance 1
 
 
 class Predictor(NamedTuple):

@@ -22,7 +22,6 @@ from models.capture.observations import (
     with_frames,
 )
 from models.capture.outlier_kernels import (
-    MEDIAN_OF_SQUARES,
     Judge,
     far_into,
     judge_frames_into,
@@ -32,6 +31,7 @@ from models.capture.outlier_kernels import (
 )
 from models.capture.swapped_keypoints import find_pairs, put_right
 from models.numerics.eigenvalues import falling_eigenvalues, white_eigenvalues
+from models.numerics.medians import MEDIAN_OF_SQUARES
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import in_slices
 from models.settings.keypoints import OUTLIER

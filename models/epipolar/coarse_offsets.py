@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from models.capture.tracks import Motion
 from models.epipolar.taubin import gradients_of, reduced
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -30,7 +31,6 @@ SLOWEST = 1e-3  # of the subject's size in a frame: slower is still
 MOST_LIKE = 0.99  # correlation: speeds are never more alike
 APART = 4  # frames: nearer offsets are the same candidate
 CLEAR = 0.35  # nats: geometry of static cameras leaves no doubt
-TINY = 1e-12
 PRODUCTS = np.array([[3, 4, 1], [4, 5, 2], [1, 2, 0]])  # monomials of (x, y, 1) (x, y, 1)^T
 
 

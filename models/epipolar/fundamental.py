@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.numerics.compiled import compiled
+from models.numerics.medians import NORMAL
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 
 LEAST_POINTS = 8
 FREEDOM = 3.0  # degrees of freedom of Student's t: heavier tails than any detector's
-NORMAL = 1.4826  # standard deviations in a median absolute deviation
 ROUNDS = 8
 SAMPLES, SAMPLED_POINTS = 48, 9  # small samples that are tried as a start, and their size
 JUDGING_POINTS = 256  # by which they are judged
-TINY = 1e-12
 MOST_OFFSET = 3.0  # standard deviations, so that outliers do not decide
 LEAST_SHOWN = 3  # keypoints of a frame
 
@@ -55,32 +55,13 @@ def fit_fundamental(
     if len(x) < LEAST_POINTS:
         raise ValueError(f"a fundamental matrix needs {LEAST_POINTS} correspondences, got {len(x)}")
     given = np.ones(len(x)) if weights is None else weights
-    everything = np.ones(len(x), bool)
-    to_x, to_y = _normalising(x, everything), _normalising(y, everything)
+    to_x, to_y = _normalising(x), _normalising(y)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
     matrix = _start(rows, given, to_x, to_y, x, y) if start is None else start
     matrices, scales = _reweighted(
         matrix[None], rows[None], given[None], to_x[None], to_y[None], x[None], y[None], floor
     )
     return Fundamental(matrices[0], float(scales[0]))
-
-
-def fit_fundamentals(
-    x: Float64, y: Float64, weights: Float64, *, floor: float = 0.01
-) -> tuple[Float64, Float64]:
-    """Fit B fundamental matrices at once, each to its own correspondences x, y (B, M, 2).
-
-    Correspondences of weight 0 in `weights` (B, M) are ignored. Each fit needs eight others, few
-    of them wrong, because it starts from the least-squares solution, unlike `fit_fundamental`.
-    Returns the matrices (B, 3, 3) and the scales (B,) of their Sampson distances in pixels.
-    """
-    to_x, to_y = (
-        np.stack([_normalising(row, there) for row, there in zip(points, weights > 0, strict=True)])
-        for points in (x, y)
-    )
-    rows = _equations(_homogeneous(x) @ to_x.mT, _homogeneous(y) @ to_y.mT)  # (B, M, 9)
-    start = _in_pixels(_solve(rows, weights), to_x, to_y)
-    return _reweighted(start, rows, weights, to_x, to_y, x, y, floor)
 
 
 def _reweighted(
@@ -165,12 +146,8 @@ def _homogeneous(points: Float64) -> Float64:
     return homogeneous
 
 
-def _normalising(points: Float64, there: NDArray[np.bool_]) -> Float64:
-    """Return the similarity (3, 3) that centres points (M, 2) at a mean distance of sqrt(2).
-
-    Only points that are `there` (M,) count.
-    """
-    points = points[there]
+def _normalising(points: Float64) -> Float64:
+    """Return the similarity (3, 3) that centres points (M, 2) at a mean distance of sqrt(2)."""
     centre = np.median(points, 0)
     scale = np.sqrt(2) / max(float(np.linalg.norm(points - centre, axis=1).mean()), TINY)
     return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])

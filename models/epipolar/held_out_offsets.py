@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from models.capture.tracks import masked_median, motion_at
 from models.epipolar.fundamental import (
-    NORMAL,
     robust_costs,
     sampson_distances,
     student_weights,
 )
 from models.epipolar.offset_refinement import FLOOR, TrackedFrames
 from models.epipolar.taubin import gradients_of, reduced
+from models.numerics.medians import NORMAL
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -37,7 +38,6 @@ SCALE_ROUNDS = 6
 BLOCKS = 10  # of frames, whose gains are compared
 PARTNERS = 3  # views that a view's offset is judged by
 AFFINE = np.array([8, 8, 2, 8, 8, 3, 0, 1, 4])  # entries of a matrix; 8: none
-TINY = 1e-12
 
 
 class Offsets(NamedTuple):

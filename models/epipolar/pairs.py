@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.essential import SAMPLE, decompose, five_point
-from models.epipolar.fundamental import FREEDOM, NORMAL, sampson_distances
+from models.epipolar.fundamental import FREEDOM, sampson_distances
+from models.numerics.medians import NORMAL
 from models.numerics.rotations import rotations_from_vectors
 
 Float64 = NDArray[np.float64]

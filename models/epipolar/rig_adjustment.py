@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.epipolar.pairs import Beliefs
-from models.epipolar.robust_points import TINY, costs_of, settle_points
+from models.epipolar.robust_points import costs_of, settle_points
 from models.epipolar.static_cameras import (
     CAMERA,
     LENS,
@@ -27,14 +27,15 @@ from models.epipolar.static_cameras import (
 )
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import fill, inverse_symmetric
+from models.numerics.medians import RAYLEIGH
 from models.numerics.rotations import rotations_from_vectors
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 Int64 = NDArray[np.int64]
 
 # Figures: evidence/static-rigs.md.
-RAYLEIGH = 1.1774  # median length of a pair of unit normal numbers
 LEAST_NOISE = 1e-5  # sides: less is as good as none
 LEAST_LEFT = 0.1  # least share of a view's residuals that points do not absorb
 POOLED = 2 / 3  # share of the common noise in the log of each view's

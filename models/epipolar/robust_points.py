@@ -26,6 +26,7 @@ from models.epipolar.static_cameras import (
 from models.numerics.compiled import compiled
 from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
 from models.numerics.sampling import evenly_spread
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -39,7 +40,6 @@ PARALLEL = 1e-8  # squared sine of the angle below which two rays count as paral
 LEAST_ANGLE = 1e-4  # radians between a ray and a point, below which all rays count alike
 POINT_DAMPING = 1e-4
 TINY_RAYS = 1e-9  # of a point's curvature: what keeps parallel rays solvable
-TINY = 1e-12  # of a point's curvature: what keeps parallel rays solvable
 SETTLED = 1e-3  # nats of all points together: a step of all that gains less is the last
 POINT_STEPS = 1  # of each point by itself, after a step of all
 

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.tiny import TINY
+
 Float64 = NDArray[np.float64]
 
 RIDGE = 1e-9  # of the mean square of gradients: what no point determines stays finite
-TINY = 1e-12
 
 
 class Reduced(NamedTuple):

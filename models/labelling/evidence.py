@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from models.capture.extents import extents
 from models.labelling.filmed import Filmed
+from models.numerics.medians import RAYLEIGH
 from models.settings.keypoints import OUTLIER
 
 Float64 = NDArray[np.float64]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 
-RAYLEIGH = 1.1774  # median distance of a normal deviate in two dimensions, of unit deviation
 LEAST_NOISE = 1 / 200  # of the subject's radius in a view: no detector is better than that
 FAR = 4.0  # deviations: of normal errors one in 3000 is further off
 

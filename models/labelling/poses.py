@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.medians import NORMAL
+
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
@@ -15,7 +17,6 @@ LEAST_RATIO = 2.0  # times the usual distance to the nearest pose
 LEAST_DISTANCE = 0.05  # of the subject's size
 FEWEST = 20  # moments with a structure, of which some can be unlike the others
 ALIKE = 0.15  # of the subject's radius in the image, root mean square
-NORMAL = 1.4826  # deviation of normal numbers, in median absolute deviations
 SEED = 0
 
 

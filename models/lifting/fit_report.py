@@ -11,6 +11,7 @@ from models.lifting.deviations import as_lifted
 from models.lifting.fitted_prior import FittedPrior
 from models.lifting.frame_refinement import sub_rig
 from models.lifting.lift import LiftedFrames
+from models.numerics.medians import NORMAL
 from models.posterior.answers import frames_as_detected
 from models.posterior.quality import REASONS
 from models.posterior.views_worth import (
@@ -31,7 +32,6 @@ MOST_FRAMES = 40  # that the worth of views is computed from
 WORST = 10  # frames that are named
 BLOCKS = 20  # of frames whose errors are independent
 OF_MEDIAN = math.sqrt(math.pi / 2)  # its deviation, over that of a mean
-TO_SD = 1.4826  # of a normal distribution, over its median absolute deviation
 HELPS = 0.85  # of the expected error, that one more camera must leave at most to be advised
 WORDS = {
     "little_evidence": "too few keypoints or views",
@@ -183,7 +183,7 @@ def scale_sd(prior: FittedPrior, lift: LiftedFrames) -> float | None:
     blocks = np.array_split(lengths[known], min(BLOCKS, count))
     medians = np.array([np.median(block) for block in blocks])
     typical = float(np.median(medians))
-    spread = TO_SD * float(np.median(np.abs(medians - typical)))
+    spread = NORMAL * float(np.median(np.abs(medians - typical)))
     of_points = math.sqrt(float(variances[known].mean()) / count)
     return OF_MEDIAN * max(spread / math.sqrt(len(blocks)), of_points) / typical
 

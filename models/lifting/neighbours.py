@@ -5,9 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.frame_equations import SIMILARITY
 from models.bundle.known_structures import prior_of_neighbours
-from models.bundle.problem import Rig, Views
+from models.bundle.problem import SIMILARITY, Rig, Views
 from models.lifting.explanations import (
     Explanation,
     Refiner,

@@ -28,6 +28,7 @@ from models.numerics.matrices import (
 from models.numerics.random_effects import random_effects
 from models.numerics.tensor_files import Arrays, Shapes, WeightsError, as_tensors
 from models.numerics.threads import empty_aligned, in_slices
+from models.numerics.tiny import TINY
 from models.optics.lenses.projection import Lenses
 
 Float64 = NDArray[np.float64]
@@ -40,7 +41,6 @@ UNCERTAINTY = 0.1  # standard deviation of a keypoint that no view shows
 LEAST_FRAMES = 40  # in which two views show both ends
 MOST_EDGES = 128  # held at once: a frame takes the cube of their number
 STEPS, CONVERGED = 8, 1e-5  # of Gauss-Newton, and the last one worth taking
-TINY = 1e-12
 FRAMES_AT_A_TIME = 64
 
 

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from models.numerics.normalisation import LEAST_MEAN_SQUARE
 from models.numerics.rotations import PARALLEL, ZERO_LENGTH
-from models.numerics.rotations import TINY as TINY_SQUARE
 from models.numerics.tensor_systems import solve_symmetric
-from models.optics.weak_perspective import RIDGE, TINY
+from models.numerics.tiny import TINY
+from models.optics.weak_perspective import RIDGE
 
 
 class WeakPerspective(NamedTuple):
@@ -66,7 +66,7 @@ def nearest_rotations(matrices: Tensor) -> Tensor:
     b = (first * second).sum(-1, keepdim=True)
     normal = torch.linalg.cross(first, second, dim=-1)
     squared = normal.square().sum(-1, keepdim=True)
-    parallel = (squared.detach().sqrt() <= PARALLEL * (a + c)) | (a + c <= TINY_SQUARE)
+    parallel = (squared.detach().sqrt() <= PARALLEL * (a + c)) | (a + c <= TINY)
     det = torch.where(parallel, 1.0, squared).sqrt()
     trace = (torch.where(parallel, 1.0, a + c) + 2 * det).sqrt()
     x = ((c + det) * first - b * second) / (trace * det)

@@ -1,5 +1,6 @@
-"""Medians that are always one of the numbers."""
+"""Medians that are always one of the numbers, and medians of normal numbers."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from models.numerics.compiled import inner
 
 Float64 = NDArray[np.float64]
+
+# Of normal numbers: their standard deviation over their median absolute deviation, and the median
+# length of a pair of deviation 1, and of its square.
+NORMAL = 1.4826
+MEDIAN_OF_SQUARES = 2 * math.log(2)
+RAYLEIGH = math.sqrt(MEDIAN_OF_SQUARES)
 
 
 def lower_median(numbers: ArrayLike, axis: int | None = None, *, keepdims: bool = False) -> Any:

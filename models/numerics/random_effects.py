@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from models.numerics.tiny import TINY
+
 Float64 = NDArray[np.float64]
 
 BISECTIONS = 60
-TINY = 1e-12
 
 
 def random_effects(measured: Float64, variances: Float64) -> tuple[Float64, Float64]:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import copy, identity
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Floats = NDArray[Any]  # of 32 or 64 bits
 
 SWEEPS = 30  # of Jacobi rotations at most; four or five are the rule
-TINY = 1e-12  # squared length of rows without a direction
 ZERO_LENGTH = 1e-6  # its root
 PARALLEL = 1e-9  # rows that span less than this share of their squared length count as parallel
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import inverse_symmetric
 from models.numerics.rotations import SymmetricFactor, nearest_orthonormal_rows_into
+from models.numerics.tiny import TINY
 
 Float64 = NDArray[np.float64]
 Floats = NDArray[Any]  # of 32 or 64 bits
 
 RIDGE = 1e-4  # share of the structure's variance: above float32 noise, below any real depth
-TINY = 1e-12  # keeps quotients finite where a structure or a view lies at one place
 
 
 class CameraSolution(NamedTuple):

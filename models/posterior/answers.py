@@ -12,6 +12,7 @@ from models.network.answers import RIG_NOT_USED, Answers
 from models.numerics.compiled import compiled, inner
 from models.numerics.rotations import nearest_rotation_into
 from models.numerics.threads import in_slices
+from models.numerics.tiny import TINY
 from models.optics.lenses.projection import project, project_into
 from models.posterior.frame import middle_of
 from models.posterior.frames import FRAMES_AT_A_TIME, Frames, LearntShapes
@@ -25,7 +26,6 @@ Float64 = NDArray[np.float64]
 FREEDOM = 4.0
 FURTHEST = 50.0  # squared distance that a keypoint counts for in the misfit of its frame
 STEP = 1e-5  # of the largest coordinate, for differences of pixels
-TINY = 1e-12
 
 
 class Noise(NamedTuple):

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import EXTRINSICS, LENS, VIEW
+from models.bundle.problem import EXTRINSICS, LENS, SIMILARITY, VIEW
 from models.numerics.compiled import inner
 from models.numerics.matrices import cholesky, cholesky_solve, fill, inverse_symmetric
 from models.optics.lenses.projection import Lenses, differentiate_into
@@ -32,7 +32,6 @@ from models.optics.lenses.projection import Lenses, differentiate_into
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-SIMILARITY = 7  # numbers of a similarity: translation, rotation vector, log size
 LEAST_PRECISION = 1e-6  # of unknowns that nothing determines, over the square of the frame's size
 
 

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bundle.problem import EXTRINSICS, LENS, VIEW
+from models.bundle.problem import EXTRINSICS, LENS, SIMILARITY, VIEW
 from models.numerics.compiled import compiled, inner
 from models.numerics.matrices import total
 from models.numerics.threads import in_slices
+from models.numerics.tiny import TINY
 from models.optics.lenses.projection import Lenses
 from models.posterior.frame import (
-    SIMILARITY,
     FrameCameras,
     FrameCovariance,
     ShapeFactor,
@@ -33,7 +33,6 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 FRAMES_AT_A_TIME = 64
-TINY = 1e-12
 
 
 class Frames(NamedTuple):

@@ -12,6 +12,8 @@ from models.calibrating.shape_evidence import (
     predicted_from_others,
 )
 from models.network.answers import Answers
+from models.numerics.medians import MEDIAN_OF_SQUARES
+from models.numerics.tiny import TINY
 from models.posterior.answers import derivatives_of, frames_of, reprojected
 from models.posterior.frames import Frames, LearntShapes, covariances_of, scores_of
 from models.posterior.posterior import Posterior
@@ -29,8 +31,6 @@ FURTHEST = 9.0  # variances, that the square of an error counts for
 POOLED = 20.0  # frames that the noise of a view's other keypoints is worth
 ROUNDS = 5  # of learning noise
 MOST_LEVERAGE = 0.98  # share of the noise that an answer follows
-HALF = 2 * np.log(2)  # median of the squared distance of white noise in two directions
-TINY = 1e-12
 LEFT = 1.579  # mean squared distance of white noise of variance 1, as far as it counts
 BLOCKS = 20  # of frames whose errors are independent
 MATTERS = 0.02  # of a point's own variance, by cameras
@@ -184,7 +184,7 @@ def _typical(
     """Return the usual distance of keypoints from their reprojections, pixels a coordinate."""
     frames = frames_of(answers, rig, mean, keypoints, weights, np.ones(weights.shape[1:]))
     off = np.square(keypoints - reprojected(frames, frames.points)).sum(-1) * weights
-    return max(float(np.sqrt(np.median(off[weights > 0]) / HALF)), LEAST_NOISE)
+    return max(float(np.sqrt(np.median(off[weights > 0]) / MEDIAN_OF_SQUARES)), LEAST_NOISE)
 
 
 def camera_factor(frames: Frames, shapes: LearntShapes, rig: Rig, deviations: Float64) -> Float64:

@@ -9,7 +9,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import multivariate_t
 
 from models.capture.observations import as_observations, pixels_of
-from models.capture.outlier_kernels import FAR, MEDIAN_OF_SQUARES, MOST_LEVERAGE
+from models.capture.outlier_kernels import FAR, MOST_LEVERAGE
 from models.capture.outliers import (
     FIRST_NOISE,
     JUDGING_ROUNDS,
@@ -20,6 +20,7 @@ from models.capture.outliers import (
 )
 from models.capture.synthetic import synthetic_capture
 from models.lifting.fitted_prior import FittedPrior
+from models.numerics.medians import MEDIAN_OF_SQUARES
 from models.numerics.tensor_files import WeightsError
 from models.settings.config import FitConfig
 from models.settings.keypoints import OUTLIER
