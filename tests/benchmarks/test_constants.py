@@ -56,11 +56,9 @@ def test_what_code_reads_that_runs() -> None:
 def test_what_moves_errors_alone_moves_something() -> None:
     margin, pixels = "capture.checks.MARGIN", "capture.checks.PIXELS"
     rows = [
-        Row(
-            "setting", 2, False, HALF, ("capture.checks.MARGIN", "capture.checks.PIXELS"), 1, False
-        ),
-        Row("setting", 2, False, HALF, ("capture.checks.MARGIN",), FAILS, True),
-        Row("setting", 2, False, HALF, ("capture.checks.PIXELS",), 0.0, True),
+        Row("setting", 2, False, HALF, (margin, pixels), FAILS, False),
+        Row("setting", 2, False, HALF, (margin,), FAILS, True),
+        Row("setting", 2, False, HALF, (pixels,), 0.0, True),
     ]
     assert list(moving_nothing(rows)) == [f"{pixels} (1)"]
     (capture,) = [row for row in by_folder(rows) if row["folder"] == "capture"]
