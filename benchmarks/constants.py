@@ -60,6 +60,7 @@ FAILS = 10.0  # stands for the log ratio where a fit fails
 PATIENCE_SECONDS = 60  # of processor time, ten times what most draws take
 
 Errors = tuple[float, float, float]
+Question = tuple[str, int, bool, float, tuple[str, ...]]  # the first fields of a row
 
 
 class Row(NamedTuple):
@@ -127,7 +128,7 @@ def _in_capture(
     taken: Taken,
     among: Sequence[Constant],
     factor: float,
-    known: Mapping[tuple[object, ...], Row],
+    known: Mapping[Question, Row],
 ) -> Iterator[Row]:
     whole = kind[2]
     with read_constants(among) as read:
