@@ -105,7 +105,7 @@ class Settings(WorkerSettings):
         2_000_000, ge=1, description="Most frames in one dataset, over all its uploads."
     )
     max_views: int = Field(16, ge=1, le=MAX_VIEWS, description="Most views in a capture.")
-    max_keypoints: int = Field(256, ge=4, le=MAX_KEYPOINTS, description="Most keypoints in a view.")
+    max_keypoints: int = Field(600, ge=4, le=MAX_KEYPOINTS, description="Most keypoints in a view.")
     max_requests: int = Field(
         2048,
         ge=8,

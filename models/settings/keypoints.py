@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 MIN_KEYPOINTS = 4  # three fix a weak-perspective camera; the fourth has information on the shape
-MAX_KEYPOINTS = 512
+MAX_KEYPOINTS = 1024
 MAX_VIEWS = 64
 MAX_COORDINATE = 1e6  # pixels; far beyond any sensor, and safe to square in float32
 MIN_CONFIDENCE = 1e-3  # below this a keypoint counts as not observed
