@@ -5,7 +5,9 @@ Compiled, a step is one call forwards and one backwards instead of many small op
 
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from models.network import reprojection_gradients, reprojection_kernels
@@ -55,37 +57,41 @@ class _Reprojection(torch.autograd.Function):
     def forward(
         ctx: Any, points: Tensor, matrices: Tensor, keypoints: Tensor, weights: Tensor
     ) -> tuple[Tensor, Tensor]:
-        # Other layouts would be compiled anew.
-        points, matrices, keypoints, weights = (
-            part.contiguous() for part in (points, matrices, keypoints, weights)
-        )
         normal, projected = torch.empty_like(points), torch.empty_like(keypoints)
-        ctx.saved = (points, normal, matrices, keypoints, weights)
-        reprojection_kernels.reproject(*(part.detach().numpy() for part in (*ctx.saved, projected)))
+        ctx.known = _arrays(points, normal, matrices, keypoints, weights)
+        reprojection_kernels.reproject(*ctx.known, *_arrays(projected))
         return normal, projected
 
     @staticmethod
     def backward(ctx: Any, by_points: Tensor, by_projected: Tensor) -> tuple[Tensor | None, ...]:
-        points, _, matrices, _, _ = ctx.saved
-        gradients = torch.empty_like(points), torch.empty_like(matrices)
-        given = (*ctx.saved, by_points.contiguous(), by_projected.contiguous(), *gradients)
-        reprojection_gradients.reproject_back(*(part.detach().numpy() for part in given))
-        return *gradients, None, None
+        points, _, matrices, _, _ = ctx.known
+        gradients = np.empty_like(points), np.empty_like(matrices)
+        given = *ctx.known, *_arrays(by_points, by_projected), *gradients
+        reprojection_gradients.reproject_back(*given)
+        return *map(torch.from_numpy, gradients), None, None
 
 
 class _Filling(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, projected: Tensor, keypoints: Tensor, weights: Tensor) -> Tensor:
-        keypoints, weights = keypoints.contiguous(), weights.contiguous()
         filled, sizes = torch.empty_like(keypoints), torch.empty_like(weights[..., 0])
-        given = (projected, keypoints, weights, filled, sizes)
-        reprojection_kernels.fill(*(part.detach().numpy() for part in given))
-        ctx.saved = (weights, filled, sizes)
+        given = _arrays(projected, keypoints, weights, filled, sizes)
+        reprojection_kernels.fill(*given)
+        ctx.known = given[2:]
         return filled
 
     @staticmethod
     def backward(ctx: Any, by_filled: Tensor) -> tuple[Tensor | None, ...]:
-        gradient = torch.empty_like(by_filled)
-        given = (*ctx.saved, by_filled.contiguous(), gradient)
-        reprojection_gradients.fill_back(*(part.detach().numpy() for part in given))
-        return gradient, None, None
+        _, filled, _ = ctx.known
+        gradient = np.empty_like(filled)
+        given = *ctx.known, *_arrays(by_filled), gradient
+        reprojection_gradients.fill_back(*given)
+        return torch.from_numpy(gradient), None, None
+
+
+def _arrays(*tensors: Tensor) -> tuple[NDArray[Any], ...]:
+    """Return what tensors hold, in the one layout that functions are compiled for.
+
+    A result that a function keeps as a tensor would keep the function, so neither would be freed.
+    """
+    return tuple(part.detach().contiguous().numpy() for part in tensors)

@@ -1,5 +1,7 @@
 """The compiled geometry of a training step against differentiable tensor operations."""
 
+import gc
+import weakref
 from collections.abc import Callable
 
 import numpy as np
@@ -54,6 +56,34 @@ def test_reprojections_and_their_gradients_are_those_of_the_tensor_operations(sh
     for found, expected in zip(run(reproject), run(reproject_tensors), strict=True):
         scale = expected.detach().abs().max().item()
         torch.testing.assert_close(found, expected, atol=1e-4 * scale, rtol=0)
+
+
+def test_what_a_training_step_computed_is_freed_with_its_last_use() -> None:
+    keypoints, weights = _drawn(4, 3, 9, 2, seed=0), _weights(4, 3, 9)
+    prior = HierarchicalPrior(9, (16, 8))
+    prior.initialise(0)
+    batch = Batch(
+        keypoints,
+        weights,
+        torch.ones(4, 3),
+        torch.ones(4),
+        _drawn(4, 9, 3, seed=1),
+        torch.ones(4),
+    )
+
+    def step() -> list[weakref.ref[Tensor]]:
+        points, projected, matrices = prior.reproject(keypoints, weights)
+        total, figures = objective(points, projected, batch)
+        torch.autograd.backward(total)
+        return [weakref.ref(each) for each in (points, projected, matrices, total, figures)]
+
+    collecting = gc.isenabled()
+    gc.disable()  # a circle would wait for it, and memory grow with each step until then
+    try:
+        assert [each() for each in step()] == 5 * [None]
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() -> None:
