@@ -1,6 +1,8 @@
 """Connections to the records: SQLite in a file, or PostgreSQL."""
 
 import os
+import sqlite3
+import time
 from pathlib import Path
 from typing import Any
 from weakref import WeakMethod
@@ -15,6 +17,8 @@ from store.errors import StoreError
 from store.records import Record
 
 WAIT_SECONDS = 20  # for a lock, or for an answer
+PAUSE_SECONDS = 0.01  # between two tries where SQLite does not wait
+PRIMARY_CODE = 0xFF  # the bits of SQLite's code of an error that say its kind
 # Of PostgreSQL. Options in the URL take precedence.
 CONNECTING = {
     "connect_timeout": "5",
@@ -102,10 +106,27 @@ def _configure_sqlite(connection: Any, _record: object) -> None:
     connection.isolation_level = None  # transactions begin in _begin_sqlite, not implicitly
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout={WAIT_SECONDS * 1000}")
-    cursor.execute("PRAGMA journal_mode=WAL")
+    _write_ahead(cursor)
     cursor.execute("PRAGMA synchronous=FULL")
     cursor.execute("PRAGMA foreign_keys=ON")
     cursor.close()
+
+
+def _write_ahead(cursor: sqlite3.Cursor) -> None:
+    """Have the file keep a write-ahead log, which it then does for good.
+
+    Of several that begin this together SQLite refuses some at once, whatever the busy timeout.
+    """
+    until = time.monotonic() + WAIT_SECONDS
+    while True:
+        try:
+            cursor.execute("PRAGMA journal_mode=WAL")
+            return
+        except sqlite3.OperationalError as error:
+            busy = error.sqlite_errorcode & PRIMARY_CODE == sqlite3.SQLITE_BUSY
+            if not busy or time.monotonic() > until:
+                raise
+            time.sleep(PAUSE_SECONDS)
 
 
 def _begin_sqlite(connection: Connection) -> None:

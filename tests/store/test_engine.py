@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 from pydantic import ValidationError
+from sqlalchemy import URL
 
 from store.database import Store
+from store.engine import open_engine
 from store.settings import StoreSettings
 from tests.deployments import PostgreSQL
 
@@ -63,3 +67,16 @@ def _worker(folder: Path, before: str, url: str) -> str:
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stderr == ""
     return run.stdout.strip()
+
+
+def test_several_may_open_a_new_file_at_a_time(tmp_path: Path) -> None:
+    def opened(path: Path, together: Barrier) -> None:
+        engine = open_engine(URL.create("sqlite", database=str(path)), forks=False)
+        together.wait()
+        engine.connect().close()
+        engine.dispose()
+
+    with ThreadPoolExecutor(6) as threads:
+        for number in range(100):  # SQLite refuses one in some of them
+            path, together = tmp_path / f"{number}.db", Barrier(6, timeout=20)
+            list(threads.map(opened, 6 * [path], 6 * [together]))
