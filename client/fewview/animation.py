@@ -1,6 +1,6 @@
 """What is written to files: points in time, with their names and what joins them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -126,6 +126,12 @@ class Animation:
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
+
+    def part(self, frames: slice) -> "Animation":
+        """Return some of the frames, with all that is known of them."""
+        of_frames = {name: getattr(self, name) for name in ("times", "numbers", "points_sd")}
+        known = {name: each[frames] for name, each in of_frames.items() if each is not None}
+        return replace(self, points=self.points[frames], **known)
 
     @property
     def names(self) -> tuple[str, ...]:

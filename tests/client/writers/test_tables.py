@@ -179,3 +179,16 @@ def test_an_animation_checks_itself(animation: Animation) -> None:
     uneven = replace(animation, fps=None, times=np.arange(12.0) ** 2)
     assert not uneven.even
     assert replace(animation, times=np.arange(12) / 25 + 3).even
+
+
+def test_a_part_of_an_animation_has_what_is_known_of_its_frames(animation: Animation) -> None:
+    sds, numbers = np.ones((12, 5)), np.arange(100, 112)
+    whole = replace(animation, points_sd=sds, numbers=numbers, times=np.arange(12) / 25)
+    part = whole.part(slice(3, 7))
+    np.testing.assert_array_equal(part.points, whole.points[3:7])
+    np.testing.assert_array_equal(part.numbers, [103, 104, 105, 106])
+    np.testing.assert_array_equal(part.times, np.arange(3, 7) / 25)
+    assert part.points_sd is not None
+    assert part.points_sd.shape == (4, 5)
+    assert (part.names, part.edges, part.fps) == (whole.names, whole.edges, whole.fps)
+    assert animation.part(slice(2)).times is None
