@@ -199,7 +199,8 @@ class _Server:
                     socket.send_fds(self._channel, [names], [theirs.fileno()])
                 worker += socket.recv_fds(ours, 1, 1)[1]
                 _send(ours, header)
-                ours.sendall(data)
+                if data:  # else it may have answered and gone by now
+                    ours.sendall(data)
                 return _receive_answer(ours, limits.arrays)
             except FAULTS as error:
                 raise (LateError if late.is_set() else EndedError) from error
