@@ -56,11 +56,13 @@ class _Reprojection(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, points: Tensor, matrices: Tensor, keypoints: Tensor, weights: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        normal, projected = torch.empty_like(points), torch.empty_like(keypoints)
-        ctx.known = _arrays(points, normal, matrices, keypoints, weights)
-        reprojection_kernels.reproject(*ctx.known, *_arrays(projected))
-        return normal, projected
+    ) -> tuple[Tensor, ...]:
+        given = _arrays(points, matrices, keypoints, weights)
+        normal, projected = np.empty_like(given[0]), np.empty_like(given[2])
+        ctx.known = (given[0], normal, *given[1:])
+        passed = *ctx.known, projected
+        reprojection_kernels.reproject(*passed)
+        return _tensors(normal, projected)
 
     @staticmethod
     def backward(ctx: Any, by_points: Tensor, by_projected: Tensor) -> tuple[Tensor | None, ...]:
@@ -68,17 +70,18 @@ class _Reprojection(torch.autograd.Function):
         gradients = np.empty_like(points), np.empty_like(matrices)
         given = *ctx.known, *_arrays(by_points, by_projected), *gradients
         reprojection_gradients.reproject_back(*given)
-        return *map(torch.from_numpy, gradients), None, None
+        return *_tensors(*gradients), None, None
 
 
 class _Filling(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, projected: Tensor, keypoints: Tensor, weights: Tensor) -> Tensor:
-        filled, sizes = torch.empty_like(keypoints), torch.empty_like(weights[..., 0])
-        given = _arrays(projected, keypoints, weights, filled, sizes)
+        seen = _arrays(projected, keypoints, weights)
+        filled, sizes = np.empty_like(seen[1]), np.empty_like(seen[2][..., 0], order="C")
+        ctx.known = (seen[2], filled, sizes)
+        given = *seen, filled, sizes
         reprojection_kernels.fill(*given)
-        ctx.known = given[2:]
-        return filled
+        return _tensors(filled)[0]
 
     @staticmethod
     def backward(ctx: Any, by_filled: Tensor) -> tuple[Tensor | None, ...]:
@@ -86,7 +89,7 @@ class _Filling(torch.autograd.Function):
         gradient = np.empty_like(filled)
         given = *ctx.known, *_arrays(by_filled), gradient
         reprojection_gradients.fill_back(*given)
-        return torch.from_numpy(gradient), None, None
+        return *_tensors(gradient), None, None
 
 
 def _arrays(*tensors: Tensor) -> tuple[NDArray[Any], ...]:
@@ -95,3 +98,7 @@ def _arrays(*tensors: Tensor) -> tuple[NDArray[Any], ...]:
     A result that a function keeps as a tensor would keep the function, so neither would be freed.
     """
     return tuple(part.detach().contiguous().numpy() for part in tensors)
+
+
+def _tensors(*arrays: NDArray[Any]) -> tuple[Tensor, ...]:
+    return tuple(map(torch.from_numpy, arrays))

@@ -162,7 +162,7 @@ def test_a_hostile_job_fails_alone(
     assert succeeded <= {f"metadata: {name}" for name in ARGUMENTS} | {"name: a long text"}
 
 
-@pytest.mark.parametrize("every", thorough_after(1, [12, 1]))  # test_plain_data.py reads each bomb
+@pytest.mark.parametrize("every", thorough_after(1, [6, 1]))  # test_plain_data.py reads each bomb
 def test_whatever_is_written_about_a_job_stops_no_worker(
     store: Store, redis: Redis, dataset_id: str, start_worker: StartWorker, every: int
 ) -> None:

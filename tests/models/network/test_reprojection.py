@@ -24,8 +24,7 @@ Tensor = torch.Tensor
 
 
 def _drawn(*shape: int, seed: int) -> Tensor:
-    # Of the precision of fits, for which there is machine code: another would be compiled.
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
 def _weights(frames: int, views: int, keypoints: int) -> Tensor:
@@ -55,11 +54,11 @@ def test_reprojections_and_their_gradients_are_those_of_the_tensor_operations(sh
 
     for found, expected in zip(run(reproject), run(reproject_tensors), strict=True):
         scale = expected.detach().abs().max().item()
-        torch.testing.assert_close(found, expected, atol=1e-4 * scale, rtol=0)
+        torch.testing.assert_close(found, expected, atol=1e-5 * scale, rtol=0)
 
 
 def test_what_a_training_step_computed_is_freed_with_its_last_use() -> None:
-    keypoints, weights = _drawn(4, 3, 9, 2, seed=0), _weights(4, 3, 9)
+    keypoints, weights = _drawn(4, 3, 9, 2, seed=0).float(), _weights(4, 3, 9).float()
     prior = HierarchicalPrior(9, (16, 8))
     prior.initialise(0)
     batch = Batch(
@@ -67,7 +66,7 @@ def test_what_a_training_step_computed_is_freed_with_its_last_use() -> None:
         weights,
         torch.ones(4, 3),
         torch.ones(4),
-        _drawn(4, 9, 3, seed=1),
+        _drawn(4, 9, 3, seed=1).float(),
         torch.ones(4),
     )
 
@@ -86,6 +85,25 @@ def test_what_a_training_step_computed_is_freed_with_its_last_use() -> None:
             gc.enable()
 
 
+def test_the_layout_of_tensors_does_not_matter() -> None:
+    points, matrices = _drawn(3, 9, 3, seed=0), _drawn(3, 4, 2, 3, seed=1)
+    keypoints, weights = _drawn(3, 4, 9, 2, seed=2), _weights(3, 4, 9)
+
+    def turned(tensor: Tensor) -> Tensor:
+        return tensor.mT.contiguous().mT
+
+    usual = reproject(points, matrices, keypoints, weights)
+    other = reproject(*map(turned, (points, matrices, keypoints, weights)))
+    for ours, theirs in zip(usual, other, strict=True):
+        torch.testing.assert_close(ours, theirs, atol=0, rtol=0)
+    torch.testing.assert_close(
+        fill(*map(turned, (usual[1], keypoints, weights))),
+        fill(usual[1], keypoints, weights),
+        atol=0,
+        rtol=0,
+    )
+
+
 def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() -> None:
     """They lie in parallel, or are zero; no gradient goes through them."""
     matrices = _drawn(5, 1, 2, 3, seed=1)
@@ -93,7 +111,7 @@ def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() 
     matrices[1, 0, 1] = -2 * matrices[1, 0, 0]
     matrices[2, 0, 0] = 0
     matrices[3, 0] = torch.tensor([[0.0, 0, 1], [0, 0, 1]])
-    keypoints, weights = _drawn(5, 1, 9, 2, seed=2), torch.ones(5, 1, 9)
+    keypoints, weights = _drawn(5, 1, 9, 2, seed=2), torch.ones(5, 1, 9).double()
     upstream = _drawn(5, 9, 3, seed=3), _drawn(5, 1, 9, 2, seed=4)
 
     def run(how: Reprojection) -> list[Tensor]:
@@ -103,17 +121,17 @@ def test_rows_without_one_nearest_rotation_are_those_of_the_tensor_operations() 
 
     found = run(reproject)
     for ours, theirs in zip(found, run(reproject_tensors), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=1e-4)
+        torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-7)
     assert (found[3][:4] == 0).all()
     assert (found[3][4] != 0).all()
 
 
 def test_keypoints_in_a_line_are_those_of_the_tensor_operations() -> None:
     """The rows of the affine solution are parallel then, if the guess is."""
-    keypoints = _drawn(2, 1, 9, 1, seed=2) * torch.tensor([1.0, -2.0])
-    matrices = torch.zeros(2, 1, 2, 3)
+    keypoints = _drawn(2, 1, 9, 1, seed=2) * torch.tensor([1.0, -2.0]).double()
+    matrices = torch.zeros(2, 1, 2, 3).double()
     matrices[..., 0, 0], matrices[..., 1, 0] = 1, -2
-    points, weights = _drawn(2, 9, 3, seed=0), torch.ones(2, 1, 9)
+    points, weights = _drawn(2, 9, 3, seed=0), torch.ones(2, 1, 9).double()
 
     def run(how: Reprojection) -> list[Tensor]:
         given = points.clone().requires_grad_(), matrices
@@ -121,25 +139,22 @@ def test_keypoints_in_a_line_are_those_of_the_tensor_operations() -> None:
         return [*answers, *torch.autograd.grad(answers[1].square().sum(), given[:1])]
 
     for ours, theirs in zip(run(reproject), run(reproject_tensors), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=2e-4, rtol=1e-4)
+        torch.testing.assert_close(ours, theirs, atol=1e-7, rtol=1e-5)
 
 
 def test_filling_is_that_of_the_tensor_operations_and_differentiable() -> None:
     projected, keypoints = _drawn(2, 3, 7, 2, seed=0).requires_grad_(), _drawn(2, 3, 7, 2, seed=1)
     weights = _weights(2, 3, 7)
-    filled, expected = (how(projected, keypoints, weights) for how in (fill, fill_tensors))
-    torch.testing.assert_close(filled, expected, atol=1e-5, rtol=0)
-    torch.testing.assert_close(filled.mean(-2), torch.zeros(2, 3, 2), atol=1e-5, rtol=0)
-    upstream = _drawn(2, 3, 7, 2, seed=3)
-    gradient, right = (
-        torch.autograd.grad(how, projected, upstream)[0] for how in (filled, expected)
+    filled = fill(projected, keypoints, weights)
+    torch.testing.assert_close(
+        filled, fill_tensors(projected, keypoints, weights), atol=1e-9, rtol=0
     )
-    torch.testing.assert_close(gradient, right, atol=1e-4, rtol=1e-4)
-    assert gradient.abs().max() > 0.1
+    torch.testing.assert_close(filled.mean(-2), torch.zeros(2, 3, 2).double(), atol=1e-9, rtol=0)
+    assert torch.autograd.gradcheck(fill, (projected, keypoints, weights))
 
 
 def _batch(frames: int, views: int, keypoints: int) -> Batch:
-    taught = torch.tensor([1, 0, 1, 1, 0], dtype=torch.float32)[:frames]
+    taught = torch.tensor([1, 0, 1, 1, 0], dtype=torch.float64)[:frames]
     return Batch(
         keypoints=_drawn(frames, views, keypoints, 2, seed=5),
         weights=_weights(frames, views, keypoints),
@@ -172,12 +187,15 @@ def test_the_objective_is_as_documented_and_its_gradient_is_right() -> None:
     assert figures.tolist() == pytest.approx([norms.mean().item(), pixels.item()])
     plain, plain_figures = plain_objective(points, projected, batch)
     torch.testing.assert_close(plain, total)
-    torch.testing.assert_close(plain_figures, figures, check_dtype=False)
+    torch.testing.assert_close(plain_figures, figures)
     given = points, projected
     for found, expected in zip(
         torch.autograd.grad(total, given), torch.autograd.grad(plain, given), strict=True
     ):
         torch.testing.assert_close(found, expected)
+    assert torch.autograd.gradcheck(
+        lambda points, projected: objective(points, projected, batch)[0], given
+    )
 
 
 def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
@@ -185,7 +203,9 @@ def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
     rotations = nearest_rotations(_drawn(4, 2, 3, seed=1))
     projected = batch.keypoints
     rotated, _ = objective(batch.teachers @ rotations, projected, batch)
-    mirrored, _ = objective(batch.teachers * torch.tensor([1.0, 1.0, -1.0]), projected, batch)
+    mirrored, _ = objective(
+        batch.teachers * torch.tensor([1.0, 1.0, -1.0]).double(), projected, batch
+    )
     assert rotated < 1e-3
     assert mirrored > 0.1
 
@@ -193,7 +213,7 @@ def test_a_teacher_may_be_rotated_but_not_mirrored() -> None:
 def test_a_network_reads_every_frame_as_if_it_were_alone() -> None:
     network = HierarchicalPrior(9, (16, 8))
     network.initialise(0)
-    keypoints, weights = _drawn(5, 3, 9, 2, seed=1), _weights(5, 3, 9)
+    keypoints, weights = _drawn(5, 3, 9, 2, seed=1).float(), _weights(5, 3, 9).float()
     weights[2] = 1
     keypoints = normalise(keypoints) * (weights > 0)[..., None]
     points, projected, matrices = network.reproject(keypoints, weights)
@@ -205,7 +225,7 @@ def test_a_network_reads_every_frame_as_if_it_were_alone() -> None:
 
 def test_virtual_cameras_look_as_those_of_the_capture_do() -> None:
     """They stand upright, at any azimuth, and see the teacher in perspective."""
-    points = normalise(_drawn(1, 40, 3, seed=0))
+    points = normalise(_drawn(1, 40, 3, seed=0)).float()
     level = torch.tensor([[[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]])  # y down, z up in the structure
     teachers = distillation.as_teachers(
         points, level[None].expand(1, 2, 3, 3), torch.ones(1, 2), torch.tensor([0]), 1, 0.1, 0.0
@@ -225,7 +245,7 @@ def test_virtual_cameras_look_as_those_of_the_capture_do() -> None:
 
 
 def test_dropping_views_keeps_one_and_leaves_half_of_the_frames() -> None:
-    weights = _weights(5, 3, 7).repeat(80, 1, 1)
+    weights = _weights(5, 3, 7).float().repeat(80, 1, 1)
     kept = drop_views(weights, np.random.default_rng(1))
     there, still = weights.sum(-1) > 0, kept.sum(-1) > 0
     assert still.any(1).all()
