@@ -9,7 +9,7 @@ of them is asked again, until those are known that move errors alone. They are n
 the next capture, and the others are. So a constant that moves nothing was changed in every capture
 that reads it, though beside others: two that make up for each other are missed.
 
-What runs before the first answer of a fit is judged by that answer, the rest by whole fits. Errors
+What runs before the first answer of a fit is judged by that answer, what runs later by whole fits. Errors
 are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are bound
 once (defaults of arguments, of classes), cannot be changed while a program runs and are not asked.
 Each question is a child process: what a wrong size breaks, or makes endless, counts as a failure.
@@ -81,7 +81,9 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of captures, with motions/")
     parser.add_argument("--draws", type=int, default=len(DRAWS), help="so many of them")
     parser.add_argument("--factors", type=float, nargs="+", default=(HALF, DOUBLE))
-    parser.add_argument("--json", type=Path, help="write what was asked; one file a factor")
+    parser.add_argument(
+        "--json", type=Path, help="add each answer to this file, and go on where it ends"
+    )
     parser.add_argument("--show", type=Path, nargs="+", help="show results that were written")
     arguments = parser.parse_args()
     use_threads(1)
@@ -103,7 +105,7 @@ def _rows(path: Path | None) -> list[Row]:
 
 def _ask(arguments: argparse.Namespace, factor: float) -> list[Row]:
     """Change constants by a factor, in one capture after another."""
-    among = [one for one in constants() if not one.asked and one.changed(factor) is not None]
+    among = [one for one in constants() if not one.fixed and one.changed(factor) is not None]
     known = {row[:5]: row for row in _rows(arguments.json) if row.factor == factor}
     rows: list[Row] = []
     kinds = [(*draw, False) for draw in DRAWS[: arguments.draws]]
@@ -216,11 +218,11 @@ def by_folder(rows: Sequence[Row]) -> Iterator[dict[str, str | int]]:
     every = constants()
     for folder in (*sorted({one.module.split(".")[1] for one in every}), ""):
         own = [one for one in every if not folder or one.module.split(".")[1] == folder]
-        names = [_name(one) for one in own if not one.asked]
+        names = [_name(one) for one in own if not one.fixed]
         yield {
             "folder": folder or "all",
             "constants": len(own),
-            "not asked": sum(bool(one.asked) for one in own),
+            "not asked": sum(bool(one.fixed) for one in own),
             "not read": sum(name not in read for name in names),
             "move errors": sum(name in moving for name in names),
             "move nothing": sum(name in read and name not in moving for name in names),

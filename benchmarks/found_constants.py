@@ -20,7 +20,7 @@ class Constant(NamedTuple):
     module: str
     name: str
     readers: tuple[tuple[str, str], ...]  # modules that read it, and its name in each
-    asked: str  # "" if it can be changed while the program runs, else why it cannot
+    fixed: str  # "" if it can be changed while the program runs, else why it cannot
 
     def changed(self, factor: float) -> Any:
         """Return its value times a factor; of a share above a half, what is missing to 1.

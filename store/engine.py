@@ -18,7 +18,7 @@ from store.records import Record
 
 WAIT_SECONDS = 20  # for a lock, or for an answer
 PAUSE_SECONDS = 0.01  # between two tries where SQLite does not wait
-PRIMARY_CODE = 0xFF  # the bits of SQLite's code of an error that say its kind
+PRIMARY_CODE = 0xFF  # the bits of SQLite's code of an error that are its kind
 # Of PostgreSQL. Options in the URL take precedence.
 CONNECTING = {
     "connect_timeout": "5",

@@ -38,9 +38,9 @@ def test_halves_and_doubles(
 
 
 def test_constants_of_compiled_functions_and_defaults_are_not_asked() -> None:
-    assert TINY.asked == "compiled"
-    assert LEAST_FRAMES.asked == ""
-    assert {one.asked for one in CONSTANTS.values()} == {"", "compiled", "bound"}
+    assert TINY.fixed == "compiled"
+    assert LEAST_FRAMES.fixed == ""
+    assert {one.fixed for one in CONSTANTS.values()} == {"", "compiled", "bound"}
 
 
 def test_what_code_reads_that_runs() -> None:

@@ -140,9 +140,9 @@ def _parted(view: View, cameras: Parted, *, several: bool) -> list[View]:
 
 
 def with_mirrors(views: Sequence[View]) -> list[View]:
-    """Return the views, with those known for images of mirrors whose names say so, if not all do.
+    """Return the views, with those marked as images of mirrors whose names are a mirror's, if not all are.
 
-    One whose name says that it was flipped is as a camera saw it.
+    One whose name has "flip" in it was put right before, and is as a camera saw it.
     """
     mirrors = [_IS_MIRROR.search(view.name.lower()) is not None for view in views]
     if all(mirrors):

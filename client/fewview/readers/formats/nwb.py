@@ -67,7 +67,7 @@ def read(source: Source) -> list[View]:
     for one in found:
         cameras.setdefault(one.device or one.subject, []).append(one)
     views = [_together(each, what) for each in cameras.values()]
-    views[0] = replace(views[0], notes=left)
+    views[0] = replace(views[0], notes=(*views[0].notes, *left))
     return views if len(views) > 1 else [replace(views[0], name=source.name)]
 
 
