@@ -9,8 +9,8 @@ of them is asked again, until those are known that move errors alone. They are n
 the next capture, and the others are. So a constant that moves nothing was changed in every capture
 that reads it, though beside others: two that make up for each other are missed.
 
-What runs before the first answer of a fit is judged by that answer, what runs later by whole fits. Errors
-are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are bound
+What runs before the first answer of a fit is judged by that answer, what runs later by whole fits.
+Errors are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are bound
 once (defaults of arguments, of classes), cannot be changed while a program runs and are not asked.
 Each question is a child process: what a wrong size breaks, or makes endless, counts as a failure.
 A run that was interrupted goes on where its file ends.
@@ -81,9 +81,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of captures, with motions/")
     parser.add_argument("--draws", type=int, default=len(DRAWS), help="so many of them")
     parser.add_argument("--factors", type=float, nargs="+", default=(HALF, DOUBLE))
-    parser.add_argument(
-        "--json", type=Path, help="add each answer to this file, and go on where it ends"
-    )
+    parser.add_argument("--json", type=Path, help="add answers to this file; go on where it ends")
     parser.add_argument("--show", type=Path, nargs="+", help="show results that were written")
     arguments = parser.parse_args()
     use_threads(1)

@@ -140,7 +140,7 @@ def _parted(view: View, cameras: Parted, *, several: bool) -> list[View]:
 
 
 def with_mirrors(views: Sequence[View]) -> list[View]:
-    """Return the views, with those marked as images of mirrors whose names are a mirror's, if not all are.
+    """Return the views; those with names of mirrors are marked as mirrored, if not all have.
 
     One whose name has "flip" in it was put right before, and is as a camera saw it.
     """
