@@ -10,10 +10,10 @@ the next capture, and the others are. So a constant that moves nothing was chang
 that reads it, though beside others: two that make up for each other are missed.
 
 What runs before the first answer of a fit is judged by that answer, what runs later by whole fits.
-Errors are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are bound
-once (defaults of arguments, of classes), cannot be changed while a program runs and are not asked.
-Each question is a child process: what a wrong size breaks, or makes endless, counts as a failure.
-A run that was interrupted goes on where its file ends.
+Errors are those of `benchmarks/ablation.py`. Constants of compiled functions, and those that are
+bound once (defaults of arguments, of classes), cannot be changed while a program runs and are not
+asked. Each question is a child process: what a wrong size breaks, or makes endless, counts as a
+failure. A run that was interrupted goes on where its file ends.
 """
 
 import argparse

@@ -86,7 +86,8 @@ class DetectorReading(BaseModel):
     mirror: str = Field(
         "",
         max_length=LONGEST_TEXT,
-        description="Of `files`: which views show mirror images, such as `cam2`.",
+        description="Of `files`: which views show mirror images, such as `cam2`; `none` if none"
+        " does. Not given: those whose names are a mirror's.",
     )
     offset: str = Field(
         "",
