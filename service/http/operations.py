@@ -75,6 +75,12 @@ def _form_fields(form: type[BaseModel] | None) -> dict[str, Any]:
     }
 
 
+# The response to a client that has what it asks for (RFC 9110, 13.1.2).
+UNCHANGED: dict[int | str, dict[str, Any]] = {
+    304: {"description": "It is still what `If-None-Match` names."}
+}
+
+
 def binary_responses(description: str, *media_types: str) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI response of an operation that also answers with bytes of these types."""
     file = {"schema": {"type": "string", "format": "binary"}}
@@ -85,8 +91,7 @@ def file_responses(description: str, *media_types: str) -> dict[int | str, dict[
     """Return those of a download, whole, in part or unchanged (RFC 9110, 13 and 14)."""
     # Clients are generated only for types that they know. To all of them a part is bytes.
     part = binary_responses("The bytes that `Range` names.", *media_types, OCTETS)[200]
-    unchanged = {"description": "It is still what `If-None-Match` names."}
-    return binary_responses(description, *media_types) | {206: part, 304: unchanged}
+    return binary_responses(description, *media_types) | {206: part} | UNCHANGED
 
 
 def register(*models: type[BaseModel]) -> None:

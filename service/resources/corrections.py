@@ -8,7 +8,7 @@ from pydantic import ConfigDict
 
 from service.http.dependencies import Identifier, StoreDep
 from service.http.errors import BODY_PROBLEMS, problems
-from service.http.operations import request_body
+from service.http.operations import UNCHANGED, request_body
 from service.http.preconditions import etag_of, tagged
 from service.http.uploads import UploadBody
 from service.wire.corrections import Correction, CorrectionsChange, CorrectionsState
@@ -46,7 +46,7 @@ class DatasetCorrections(CorrectionsState):
 @router.get(
     "/{dataset_id}/corrections",
     response_model=DatasetCorrections,
-    responses=problems("not_found"),
+    responses=problems("not_found") | UNCHANGED,
 )
 def list_corrections(
     dataset_id: Identifier, store: StoreDep, request: Request, response: Response

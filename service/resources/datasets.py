@@ -16,7 +16,7 @@ from service.http.dependencies import (
 )
 from service.http.errors import BODY_PROBLEMS, problems
 from service.http.idempotency import idempotency
-from service.http.operations import request_body
+from service.http.operations import UNCHANGED, request_body
 from service.http.preconditions import tagged
 from service.http.uploads import FilesBody, UploadBody
 from service.resources.changes import add_change_route
@@ -243,7 +243,11 @@ add_list_routes(
 )
 
 
-@router.get("/{dataset_id}", response_model=Dataset, responses=problems("not_found"))
+@router.get(
+    "/{dataset_id}",
+    response_model=Dataset,
+    responses=problems("not_found") | UNCHANGED,
+)
 def get_dataset(
     dataset_id: Identifier, store: StoreDep, request: Request, response: Response
 ) -> Any:

@@ -12,6 +12,7 @@ from typing_extensions import TypeAliasType
 from service.http.dependencies import RedisDep, StoreDep
 from service.http.errors import problems
 from service.http.keyring import still_let_in
+from service.http.operations import UNCHANGED
 from service.http.preconditions import tagged
 from service.resources.changes import Change, add_change_route
 from service.resources.events import EventsDep
@@ -97,7 +98,7 @@ def add_job_routes(
         name=f"get_{noun}",
         response_model=form,
         description=f"Describe a {noun} and its progress.",
-        responses=problems("not_found"),
+        responses=problems("not_found") | UNCHANGED,
     )
     def get_job(job: Annotated[Job, found], request: Request, response: Response) -> Any:
         return tagged(request, response, job, to_wire)

@@ -22,7 +22,7 @@ from service.http.downloads import bytes_response
 from service.http.errors import BODY_PROBLEMS, ApiError, problems
 from service.http.idempotency import idempotency
 from service.http.negotiation import OCTETS
-from service.http.operations import file_responses, request_body
+from service.http.operations import UNCHANGED, file_responses, request_body
 from service.http.preconditions import tagged
 from service.http.uploads import UploadBody
 from service.realtime.dependencies import EngineDep
@@ -177,7 +177,7 @@ add_list_routes(
 )
 
 
-@router.get("/{model_id}", response_model=Model, responses=problems("not_found"))
+@router.get("/{model_id}", response_model=Model, responses=problems("not_found") | UNCHANGED)
 def get_model(model_id: Identifier, store: StoreDep, request: Request, response: Response) -> Any:
     """Describe a model: configuration, training curve, errors."""
     return tagged(request, response, lookup.get(store, records.ModelRecord, model_id), Model.of)
