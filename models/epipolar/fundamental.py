@@ -58,32 +58,17 @@ def fit_fundamental(
     to_x, to_y = _normalising(x), _normalising(y)
     rows = _equations(_homogeneous(x) @ to_x.T, _homogeneous(y) @ to_y.T)  # (M, 9)
     matrix = _start(rows, given, to_x, to_y, x, y) if start is None else start
-    matrices, scales = _reweighted(
-        matrix[None], rows[None], given[None], to_x[None], to_y[None], x[None], y[None], floor
-    )
-    return Fundamental(matrices[0], float(scales[0]))
-
-
-def _reweighted(
-    matrices: Float64,
-    rows: Float64,
-    weights: Float64,
-    to_x: Float64,
-    to_y: Float64,
-    x: Float64,
-    y: Float64,
-    floor: float,
-) -> tuple[Float64, Float64]:
-    """Improve B matrices by reweighted least squares; return them and the scales of their noise."""
+    seen = given > 0
     for _ in range(ROUNDS):
-        errors, gradients = _epipolar_errors(matrices, x, y)
+        errors, gradients = _epipolar_errors(matrix, x, y)
         distances = errors / gradients
-        scales = _scales(distances, weights, floor)
+        scale = max(robust_scale(distances[seen]), floor)
         # Sampson's denominator makes algebraic distances those of pixels.
-        share = gradients / _medians(gradients, weights)
-        robust = student_weights(distances, scales) / np.square(share)
-        matrices = _in_pixels(_solve(rows, weights * robust), to_x, to_y)
-    return matrices, _scales(sampson_distances(matrices, x, y), weights, floor)[:, 0]
+        share = gradients / np.median(gradients[seen])
+        robust = student_weights(distances, scale) / np.square(share)
+        matrix = _in_pixels(_solve(rows, given * robust), to_x, to_y)
+    distances = sampson_distances(matrix, x, y)
+    return Fundamental(matrix, max(robust_scale(distances[seen]), floor))
 
 
 def sampson_distances(matrix: Float64, x: Float64, y: Float64) -> Float64:
@@ -127,17 +112,6 @@ def robust_costs(distances: Float64, scale: float | Float64) -> Float64:
     squared = np.square(distances / scale) / FREEDOM
     costs: Float64 = (FREEDOM + 1) / 2 * np.log1p(squared) + np.log(scale)
     return costs
-
-
-def _medians(values: Float64, weights: Float64) -> Float64:
-    """Medians (B, 1) of the values (B, M) with positive weight."""
-    rows = zip(values, weights > 0, strict=True)
-    return np.array([[np.median(row[there])] for row, there in rows])
-
-
-def _scales(distances: Float64, weights: Float64, floor: float) -> Float64:
-    """Robust standard deviations (B, 1) of distances (B, M) with positive weight."""
-    return np.maximum(NORMAL * _medians(np.abs(distances), weights), floor)
 
 
 def _homogeneous(points: Float64) -> Float64:
